@@ -12,7 +12,7 @@ from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError, as_text, by_name, names_like
 from servolens.reading.files import quote
 from servolens.reading.narrowing import alike, increasing, measured, moving, near, paired
-from servolens.reading.words import Meaning, allows, meaning, unit_behind
+from servolens.reading.words import Meaning, allows, is_romance, meaning, unit_behind
 from servolens.record import SIGNALS
 from servolens.units import COMMAND_UNITS, parse_unit
 
@@ -188,6 +188,7 @@ def candidates(tables: Sequence[Table]) -> list[Choice]:
         Of a file.
     """
     plain = [(i, column, unit_behind(column.name)[0]) for i, table in enumerate(tables) for column in table.columns]
+    romance = any(is_romance(column.name) for _, column, _ in plain)
     everywhere = Counter(name for _, _, name in plain)
     inside = Counter((i, name) for i, _, name in plain)
 
@@ -197,7 +198,7 @@ def candidates(tables: Sequence[Table]) -> list[Choice]:
         return f"{tables[table].name}/{name}" if everywhere[name] > inside[table, name] else name
 
     return [
-        Choice(column, i, address(number, i, name), meaning(column.name, column.unit))
+        Choice(column, i, address(number, i, name), meaning(column.name, column.unit, romance=romance))
         for number, (i, column, name) in enumerate(plain, start=1)
     ]
 

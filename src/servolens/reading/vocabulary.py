@@ -1,4 +1,4 @@
-"""The vocabulary of headings: words, symbols and units that people use for an axis's signals, English and German."""
+"""The vocabulary of headings: words, symbols and units for an axis's signals, in five languages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ __all__ = [
     "LETTER_KINDS",
     "MEASURED_LETTERS",
     "MOTOR_VOLTAGES",
+    "OF_ERRORS",
     "PLACES",
+    "ROMANCE",
     "SENSORS",
     "SHAPED",
     "SPANS",
@@ -31,45 +33,53 @@ __all__ = [
 WORDS: Mapping[str, str] = {
     "time": (
         "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
-        "nanos datetime secs"
+        "nanos datetime secs temps tiempo horodatage"
     ),
     "position": (
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
-        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos"
+        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos posizione posicion "
+        "deplacement spostamento desplazamiento"
     ),
     "angle": (
         "angle angles angular ang rotary rotational winkel rotation drehwinkel heading azimuth azimut elevation pitch "
-        "yaw roll"
+        "yaw roll angolo angulo"
     ),
     "velocity": (
         "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
-        "xdot dot dq tacho gyro gyroscope"
+        "xdot dot dq tacho gyro gyroscope vitesse velocita velocidad"
     ),
-    "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
+    "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell voltaje",
+    "tension": "tension tensione",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
-    "current": "strom amps ampere iq",
-    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
-    "force": "force kraft thrust",
+    "current": "strom amps ampere iq courant corrente corriente",
+    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort couple coppia",
+    "force": "force kraft thrust forza fuerza",
     "output": (
         "u output out op co dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand"
     ),
-    "either": "command cmd commanded",
+    "either": "command cmd commanded commande comando mando",
     "input": "input eingang",
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action rpos traj plan planned planner"
+        "leitwert set action rpos traj plan planned planner consigne riferimento referencia consigna desiderata "
+        "desiderato deseada deseado"
     ),
     "actual": (
         "actual act pv ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
-        "est sensor real mess messwert gemessen response regelgroesse observation state"
+        "est sensor real mess messwert gemessen response regelgroesse observation state mesure mesuree misura misurata "
+        "misurato medida medido reelle reale"
     ),
     "feedforward": "feedforward ff vorsteuerung",
     "direction": "dir direction richtung drehrichtung vorzeichen",
     "enabled": "enabled enable freigabe",
+    "error": (
+        "error err e abweichung deviation regelabweichung regeldifferenz schleppfehler schleppabstand fehler erreur "
+        "ecart errore"
+    ),
     "other": (
-        "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
-        "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
+        "following lag delta diff difference differenz alimentation alimentazione alimentacion "
+        "temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
         "batterie netz betrieb speise bord vorspannung zugspannung riemenspannung federspannung "
         "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
         "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
@@ -83,9 +93,20 @@ WORDS: Mapping[str, str] = {
         "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
         "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
         "tisch"
+        " moteur motore axe asse eje de del di du della chariot carrello carro"
         " achs achsen kolben zylinder ventil greifer vorschub kran katz spindel tisch stoessel wellen kreuz roboter"
     ),
 }
+_ROMANCE = (
+    "temps tiempo horodatage posizione posicion deplacement spostamento desplazamiento angolo angulo "
+    "vitesse velocita velocidad tensione voltaje courant corrente corriente coppia forza fuerza commande "
+    "comando mando consigne riferimento referencia consigna desiderata desiderato deseada deseado mesure "
+    "mesuree misura misurata misurato medida medido erreur ecart errore moteur motore "
+)
+ROMANCE = frozenset(_ROMANCE.split())
+"""Words that tell French, Italian and Spanish: beside one "tension" is a voltage, not a pull, and "tempo" a time."""
+OF_ERRORS = frozenset({"following", "lag", "tracking", "control", "suivi", "poursuite", "inseguimento", "seguimiento"})
+"""What stands beside the word for an error where that is the loop's: reference less position."""
 LETTERS: Mapping[str, tuple[str, ...]] = {
     "r": ("reference",),
     "w": ("reference", "velocity"),
@@ -154,7 +175,20 @@ SENSORS = frozenset(
 SHAPED = frozenset({"limited", "profiled"})
 """Words that make a position the one that the path generator asks for: Copley's "Limited Position"."""
 SPANS = frozenset(
-    {"cycle", "loop", "zyklus", "exec", "execution", "compute", "calc", "latency", "jitter", "period", "task"}
+    {
+        "cycle",
+        "loop",
+        "zyklus",
+        "exec",
+        "execution",
+        "compute",
+        "calc",
+        "latency",
+        "jitter",
+        "period",
+        "task",
+        "reponse",
+    }
 )
 """Words that make a time one that something takes."""
 CALCULATED = frozenset(
@@ -175,7 +209,8 @@ IMPLIED = {
 }
 ASSUMED = {"current": "A", "torque": "N m", "force": "N"}
 UNITS = {
-    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s", "ms": "ms", "msec": "ms",
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s",
+    "secondes": "s", "secondi": "s", "segundos": "s", "ms": "ms", "msec": "ms",
     "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
     "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
     "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "rotations": "rev",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, final
 
+from servolens.reading.tokens import CLASS, agree, tokens_of
 from servolens.reading.vocabulary import (
     AMOUNTS,
     ANGLES,
@@ -18,18 +19,17 @@ from servolens.reading.vocabulary import (
     LETTER_KINDS,
     LETTERS,
     MEASURED_LETTERS,
-    MOTOR_VOLTAGES,
-    PLACES,
+    OF_ERRORS,
+    ROMANCE,
     SENSORS,
     SHAPED,
     SPANS,
     UNITS,
-    WORDS,
 )
 from servolens.units import COMMAND_UNITS, parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 __all__ = [
     "BY_ARMATURE",
@@ -41,6 +41,7 @@ __all__ = [
     "Meaning",
     "allows",
     "at_the_end",
+    "is_romance",
     "meaning",
     "unit_behind",
 ]
@@ -68,12 +69,8 @@ _CONVENTIONS = (
     ),
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
-_CLASS = {word: kind for kind, words in WORDS.items() for word in words.split()}
 _COMMANDS = ("voltage", "feedforward")
 _ROLES = {"reference": "position", "feedforward": "voltage"}
-_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
-_TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
-_ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
 _BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
 _SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
 LONGEST_NAME = 1000
@@ -103,7 +100,7 @@ class Meaning:
         Whether a single letter is all there is.
     kind : str
         Of a command: voltage, duty, current, torque, force or output; of a position: angle or position; of what gives a
-        magnitude its sign: direction.
+        magnitude its sign: direction; of what is left of the reference: error.
     grade : int
         Of a command: 0 what was asked for, 1 unsaid, 2 what was measured.
     rest : frozenset of str
@@ -121,8 +118,17 @@ class Meaning:
 
 
 @cache
-def meaning(text: str, unit: str | None = None) -> Meaning:
+def meaning(text: str, unit: str | None = None, *, romance: bool = False) -> Meaning:
     """Return what the heading `text` says, with the `unit` that a row of units states.
+
+    Parameters
+    ----------
+    text : str
+        The heading.
+    unit : str, optional
+        From a row of units.
+    romance : bool
+        Whether another heading of the table is French, Italian or Spanish.
 
     Examples
     --------
@@ -133,7 +139,8 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
         return Meaning()
     name, bracketed, where = unit_behind(text)
     unit = bracketed or unit
-    tokens = _tokens(name)
+    tokens = tokens_of(name)
+    tokens = _of_language(tokens, unit or _suffix(tokens)[1], romance=romance or is_romance(text))
     if unit is None:
         kept, found = _suffix(tokens)
         said = _judged(name, kept, found, "at the end of its name" if found else "")
@@ -146,6 +153,17 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
     return _judged(name, tokens, unit, where)
 
 
+def is_romance(text: str) -> bool:
+    """Tell whether a heading is French, Italian or Spanish beyond doubt.
+
+    Examples
+    --------
+    >>> is_romance("Position de consigne [mm]"), is_romance("Posición"), is_romance("tension")
+    (True, True, False)
+    """
+    return len(text) <= LONGEST_NAME and bool(ROMANCE & set(tokens_of(unit_behind(text)[0])))
+
+
 def at_the_end(text: str) -> str | None:
     """Return the unit at the end of a heading's name, whatever stands behind that; None without, or for one letter.
 
@@ -154,8 +172,8 @@ def at_the_end(text: str) -> str | None:
     >>> at_the_end("pos_mm [m]"), at_the_end("Position [mm]"), at_the_end("x_m [mm]")
     ('mm', None, None)
     """
-    kept, found = _suffix(_tokens(unit_behind(text)[0]))
-    last = _ACRONYM.findall(unit_behind(text)[0])[-1:]
+    kept, found = _suffix(tokens_of(unit_behind(text)[0]))
+    last = re.findall(r"[A-Za-zäöüÄÖÜß]+|\d+", unit_behind(text)[0])[-1:]
     return found if kept and last and len(last[0]) > 1 else None
 
 
@@ -213,59 +231,19 @@ def _known(text: str) -> str | None:
     return text if parse_unit(text) else UNITS.get(text.lower())
 
 
-def _tokens(name: str) -> tuple[str, ...]:
-    """Split a name at signs, at capitals, and compounds at the words that are known."""
-    found: list[str] = []
-    for part in _ACRONYM.findall(
-        name.replace("Δ", "delta ").replace("%", " percent ").replace("θ", "theta ").replace("φ", "phi ")
-    ):
-        whole = part.lower().translate(_UMLAUTS)
-        if whole in _CLASS or whole in LETTERS or whole in UNITS:
-            found.append(whole)
-            continue
-        for token in _TOKEN.findall(part):
-            plain = token.lower().translate(_UMLAUTS)
-            found += _compound(plain) or _marked(plain) or _a_voltage(plain) or [plain]
-    for i in range(len(found) - 1, 0, -1):
-        if found[i] == "d" and found[i - 1] + "d" in LETTERS:  # q_d is qd
-            found[i - 1 : i + 1] = [found[i - 1] + "d"]
-    return tuple(found)
+def _of_language(tokens: tuple[str, ...], unit: str | None, *, romance: bool) -> tuple[str, ...]:
+    """Put a word that means one thing in the place of those that mean another thing in each language.
 
-
-def _marked(token: str) -> list[str] | None:
-    """Return the symbol of a position and what stands behind it: ``xref``, ``thetasoll``."""
-    for symbol in PLACES:
-        mark = token.removeprefix(symbol)
-        if mark != token and (mark == "des" or _CLASS.get(mark) in ("reference", "actual")):
-            return [symbol, mark]
-    return None
-
-
-def _a_voltage(token: str) -> list[str] | None:
-    """Return which voltage of the motor a German compound names: ``Ankerspannung``; others are sensors' or tensions."""
-    head = token.removesuffix("spannung")
-    return [head, "spannung"] if head != token and head in MOTOR_VOLTAGES else None
-
-
-@cache
-def _compound(token: str) -> list[str] | None:
-    """Return the known words that a compound is made of, longest first, or None if it is made of others."""
-    if token in _CLASS:
-        return [token]
-    for end in range(len(token) - 2, 2, -1):
-        head = token[:end]
-        if head not in _CLASS:
-            continue
-        for rest in (token[end:], token[end + 1 :] if token[end] == "s" else ""):
-            tail = _compound(rest) if len(rest) > 1 else None
-            if tail and _agree(_CLASS[word] for word in (head, *tail)):
-                return [head, *tail]
-    return None
-
-
-def _agree(kinds: Iterable[str]) -> bool:
-    """Tell whether words can stand together: a direction is one of its own only beside words that say nothing else."""
-    return "direction" not in (found := set(kinds)) or found <= {"direction", "neutral", "actual", ""}
+    A tension is a voltage beside Romance words, or in volts where nothing else is said of it, but not in another unit;
+    the tempo is a time where its unit or such words say so.
+    """
+    stated, volt = parse_unit(unit or ""), parse_unit("V")
+    is_plain = romance or all(token in CLASS or token in UNITS or token.isdecimal() for token in tokens)
+    is_volts = is_plain and (stated.dimension == volt.dimension if stated and volt else romance)
+    is_time = allows("time", unit or "") if unit else romance
+    words = {"tempo": "time" if is_time else "tempo"}
+    words |= dict.fromkeys(("tension", "tensione"), "voltage" if is_volts else "tension")
+    return tuple(words.get(token, token) for token in tokens)
 
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
@@ -301,7 +279,8 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
         return Meaning(("time",), UNITS[tokens[0]], tokens[0], BY_NAME, symbol=True)
     asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
     symbols = [token for token in tokens if token in LETTERS]
-    words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
+    spoken = zip(tokens_of(name), kinds, strict=False)  # without the unit at its end
+    words = " ".join(token for token, kind in spoken if kind and kind != "neutral") or " ".join(symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
     if symbol and not roles:
         words = ""  # a symbol of which only its owner knows what it is
@@ -320,12 +299,12 @@ def _kinds(tokens: Sequence[str]) -> list[str]:
 
     A direction is that of another signal where one stands in the name: ``ref_dir_x`` is a reference.
     """
-    kinds = [_CLASS.get(token, "") for token in tokens]
+    kinds = [CLASS.get(token, "") for token in tokens]
     words = [i for i, token in enumerate(tokens) if not token.isdecimal()]
     for i in {words[0], words[-1]} if len(words) > 1 else ():
         if tokens[i] == "des":
             kinds[i] = "reference"
-    if not _agree(kinds) or "current" in tokens or any(token in LETTERS for token in tokens):
+    if not agree(kinds) or "current" in tokens or any(token in LETTERS for token in tokens):
         kinds = ["" if kind == "direction" else kind for kind in kinds]
     return kinds
 
@@ -334,8 +313,9 @@ def _roles(
     tokens: Sequence[str], kinds: Sequence[str], symbols: Sequence[str], *, asked: bool, measured: bool
 ) -> tuple[tuple[str, ...], str, bool]:
     """Return the signals that words can mean, the kind of the quantity, and whether only a symbol says it."""
-    if "other" in kinds:
-        return (), "", False
+    if {"error", "other", "tension"} & set(kinds):
+        kind = "error" if _is_error_of_position(tokens, kinds) else ""
+        return (), kind, not {"error", "other"} & set(kinds)  # of a tension only its owner knows what it is
     if "feedforward" in kinds or "enabled" in kinds:
         return ("feedforward" if "feedforward" in kinds else "enabled",), "", False
     if _ends_with_time(tokens, kinds):
@@ -356,6 +336,16 @@ def _roles(
     if command or "current" in tokens:
         return ("voltage",), command or "current", False
     return _bare(tokens, kinds, symbols, measured=measured)
+
+
+def _is_error_of_position(tokens: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Tell whether there is a word for an error, and nothing beside it says that it is not the position loop's."""
+    if "error" not in kinds or {"enc", "encoder", *SENSORS} & set(tokens):
+        return False
+    return all(
+        kind in ("error", "position", "angle", "neutral") or token in OF_ERRORS or token.isdecimal()
+        for token, kind in zip(tokens, kinds, strict=True)
+    )
 
 
 def _of_place(
