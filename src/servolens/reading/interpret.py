@@ -16,14 +16,18 @@ from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, candidates, check_mapping, choose, typed, unknown
 from servolens.reading.scales import (
+    FASTEST_AXIS,
     LONGEST_AXIS,
+    check_own_length,
     command_unit,
     is_alike,
     is_counted,
     is_huge,
     length_unit,
+    speed_of,
     time_unit,
     travel_of,
+    unrounded,
     velocity_unit,
 )
 from servolens.reading.words import BY_ARMATURE, BY_KIND, BY_NAME, BY_PROTOCOL, DUTY, allows, meaning
@@ -116,12 +120,10 @@ def interpret(
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
     stated = check_mapping(units, "units", "mm")
-    names = [column.name for table in tables for column in table.columns]
-    found = _units(chosen, stated, names, {**comments, **gains, **(settings or {})})
+    found = _units(chosen, stated, tables, {**comments, **gains, **(settings or {})})
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
-    for signal, choice in chosen.items():
-        _check_numbers(signal, choice)
-    remarks += _about_length(chosen["position"], found["position"], known := {**comments, **gains, **_given(settings)})
+    _check_numbers(chosen)
+    remarks += _about_length(chosen, found, known := {**comments, **gains, **_given(settings)})
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
     if "voltage" not in {*chosen, *(columns or {})} and ("kp" in known or not GAINS_BESIDE & set(known)):
@@ -221,9 +223,10 @@ def _is_amount(text: str) -> bool:
 
 
 def _units(
-    chosen: Mapping[str, Choice], stated: Mapping[str, str], names: Sequence[str], settings: Mapping[str, object]
+    chosen: Mapping[str, Choice], stated: Mapping[str, str], tables: Sequence[Table], settings: Mapping[str, object]
 ) -> dict[str, tuple[str | None, str]]:
     """Return each signal's unit and where it is from; a velocity that cannot be used is left out."""
+    names = [column.name for table in tables for column in table.columns]
     found: dict[str, tuple[str | None, str]] = {}
     for signal, choice in chosen.items():
         if signal in stated:
@@ -267,9 +270,13 @@ def _unstated(
         return time_unit(choice)
     if signal in ("position", "reference"):
         beside = "reference" if signal == "position" else "position"
-        if is_own and choice.evidence != NAMED and not _follows(choice, chosen.get(beside), found.get(beside)):
+        partner, other = chosen.get(beside), found.get(beside)
+        if is_own and choice.evidence != NAMED and not _follows(choice, partner, other):
+            if partner is not None and other is not None and other[0] and other[1] != BY_CALLER:
+                check_own_length(signal, choice, partner, other[0])
             return None, ""
-        return _length(choice, chosen.get(beside), found.get(beside), settings)
+        speed = speed_of(choice, chosen["time"], found["time"][0]) if signal == "position" else 0.0
+        return _length(choice, partner, other, settings, speed)
     if signal == "voltage" and (not is_own or choice.unit or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
     if signal == "velocity" and (not choice.is_stated or choice.evidence == NAMED):
@@ -290,36 +297,41 @@ def _follows(choice: Choice, beside: Choice | None, other: tuple[str | None, str
 
 
 def _length(
-    choice: Choice, beside: Choice | None, other: tuple[str | None, str] | None, settings: Mapping[str, object]
+    choice: Choice,
+    beside: Choice | None,
+    other: tuple[str | None, str] | None,
+    settings: Mapping[str, object],
+    speed: float,
 ) -> tuple[str | None, str]:
     """Return the unit of a position or a reference that states none."""
     if choice.evidence == NAMED and other is not None and other[1] == BY_CALLER:
         return other[0], "the unit of what belongs to it"
     if _has_counts(settings):
         return None, ""
-    if choice.evidence == NAMED and not _states_length(settings):
-        unit = length_unit(choice, other[0] if other else None, beside)  # asks where metres are not plausible
-        return unit if choice.meaning.kind == "angle" else (None, "")
-    if choice.evidence == NAMED:
-        return None, ""
     settled = other[0] if other else None
     is_settled = bool(settled and beside and is_alike(choice, beside, settled))
     if _states_length(settings) and not is_settled:
         return None, "" if choice.is_stated else "SI, as the gains are stated"
-    if choice.is_stated and not is_settled:
-        length_unit(choice, None)  # asks where SI is not plausible
-        return None, ""
-    return length_unit(choice, settled, beside)
+    if choice.is_stated and not is_settled:  # asks where SI is not plausible
+        unit = length_unit(choice, settled if choice.evidence == NAMED else None, beside, speed=speed)
+        return unit if choice.meaning.kind == "angle" and choice.evidence == NAMED else (None, "")
+    return length_unit(choice, settled, beside, speed=speed)
 
 
-def _about_length(position: Choice, found: tuple[str | None, str], settings: Mapping[str, object]) -> list[Finding]:
+def _about_length(
+    chosen: Mapping[str, Choice], found: Mapping[str, tuple[str | None, str]], settings: Mapping[str, object]
+) -> list[Finding]:
     """Warn of a position of a record file that states no unit, nor do its gains, and is implausible in metres."""
-    travel = travel_of(position.column.values)
-    if found != (None, "") or travel <= LONGEST_AXIS or _states_length(settings) or _has_counts(settings):
+    position = chosen["position"]
+    travel, speed = travel_of(position.column.values), speed_of(position, chosen["time"], found["time"][0])
+    if found["position"] != (None, "") or (travel <= LONGEST_AXIS and speed <= FASTEST_AXIS):
         return []
+    if _states_length(settings) or _has_counts(settings):
+        return []
+    how = f"it travels {travel:.4g} m" + (f", at up to {speed:.3g} m/s" if travel <= LONGEST_AXIS else "")
     message = (
-        f"the column {quote(position.address)} states no unit and is taken in m, as record files have it: it travels"
-        f" {travel:.4g} m; if that is mm, deg or rad, say so, e.g. --unit position=mm."
+        f"the column {quote(position.address)} states no unit and is taken in m, as record files have it: {how}; if"
+        " that is mm, deg or rad, say so, e.g. --unit position=mm."
     )
     return [Finding(code="length_unit_assumed", severity="warning", message=message)]
 
@@ -341,12 +353,13 @@ def _states_length(settings: Mapping[str, object]) -> bool:
     return False
 
 
-def _check_numbers(signal: str, choice: Choice) -> None:
-    if choice.column.switches is not None and signal != "enabled":
-        raise InputError(choice.column.switches.sentence(signal))
-    if choice.column.fault is not None:
-        instead = f", or do without that column: --column {signal}={NONE}" if signal == "velocity" else ""
-        raise InputError(choice.column.fault.sentence(signal) + instead)
+def _check_numbers(chosen: Mapping[str, Choice]) -> None:
+    for signal, choice in chosen.items():
+        if choice.column.switches is not None and signal != "enabled":
+            raise InputError(choice.column.switches.sentence(signal))
+        if choice.column.fault is not None:
+            instead = f", or do without that column: --column {signal}={NONE}" if signal == "velocity" else ""
+            raise InputError(choice.column.fault.sentence(signal) + instead)
 
 
 def _guess(signal: str, choice: Choice, found: tuple[str | None, str], *, by_caller: bool) -> Guess:
@@ -383,7 +396,7 @@ def _on_one_clock(
             values = _moved(values, other, time, smooth=signal in SMOOTH_SIGNALS, name=choice.address)
         signals[signal] = values
     if start:
-        signals["time"] = time - start
+        signals["time"] = unrounded(time) if np.isfinite(time).all() else time - start
     return signals, dict(units)
 
 

@@ -21,7 +21,19 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["LONGEST_AXIS", "VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "travel_of", "velocity_unit"]
+__all__ = [
+    "FASTEST_AXIS",
+    "LONGEST_AXIS",
+    "VELOCITY_AGREES",
+    "check_own_length",
+    "command_unit",
+    "length_unit",
+    "speed_of",
+    "time_unit",
+    "travel_of",
+    "unrounded",
+    "velocity_unit",
+]
 
 LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
@@ -32,12 +44,24 @@ TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": DA
 """Units of time beside seconds, and seconds of each."""
 DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
 """Dates as numbers [day]: 1954 to 2064 as spreadsheets count them, 1916 to 2190 as MATLAB does."""
+MACHINES = (0.95e9, 4.1e9)
+"""Instants that computers' clocks may have logged [s since 1970]: 2000 to 2099."""
+EPOCHS = (
+    ("ms", 0.0, "milliseconds since 1970"),
+    ("us", 0.0, "microseconds since 1970"),
+    ("ns", 0.0, "nanoseconds since 1970"),
+    ("100 ns", 11_644_473_600.0, "100 ns since 1601, FILETIME"),
+    ("100 ns", 62_135_596_800.0, "100 ns since the year 1, ticks of .NET"),
+)
+"""How such clocks count beside seconds: their unit, seconds from their beginning to 1970, and what that is called."""
 ROUNDING = 1e-3
 """Of sample times from dates, which programs round to about 0.1 ms."""
 FEWEST_SAMPLES = 20
 """Samples below which a rate and a travel say nothing, and levels above which a command is no hand-made pulse."""
 LONGEST_AXIS = 10.0
 """Travel beyond which metres are doubtful [m]: gantries are shorter."""
+FASTEST_AXIS = 10.0
+"""Speed beyond which metres are doubtful [m/s]: linear motors reach less, and belts."""
 MOST_TURNS = 4 * np.pi
 """Travel beyond which radians are doubtful where the name says angle [rad]: two turns, and 12.6 degrees."""
 LARGEST_COMMAND = 1000.0
@@ -60,10 +84,12 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     values = choice.column.values
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return None, "seconds are assumed"
-    interval = float(np.median(np.diff(values)))
+    interval = float(np.median(np.diff(unrounded(values))))
     low, high = SAMPLE_TIMES
     if low <= interval <= high:
         return None, "seconds are assumed"
+    if since := _since(float(values[0]), interval):
+        return since
     if _is_date(values) and low <= interval * DAY <= (1 + ROUNDING) * LONGEST_SAMPLE_TIME:
         return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
     fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
@@ -83,11 +109,46 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
 
 
+def _since(first: float, interval: float) -> tuple[str, str] | None:
+    """Return the unit of stamps that count from an epoch, by the date that they then are, and why; None without."""
+    for text, before, what in EPOCHS:
+        unit = parse_unit(text)
+        if unit is None or not MACHINES[0] <= first * unit.factor - before <= MACHINES[1]:
+            continue
+        if SAMPLE_TIMES[0] <= interval * unit.factor <= LONGEST_SAMPLE_TIME:
+            rate = 1 / (interval * unit.factor)
+            return text, f"steps of {interval:.6g}, and values that are dates in {what}: {rate:.4g} Hz"
+    return None
+
+
+def unrounded(time: Values) -> Values:
+    """Return large time stamps from the first one on, even where all are so up to the rounding of such numbers.
+
+    Those of nanoseconds since 1970 are rounded to 256 ns, those of 100 ns since the year 1 to 12.8 µs.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Finite.
+
+    Examples
+    --------
+    >>> unrounded(1.7e18 + 1e6 * np.arange(1001))[:3].tolist()
+    [0.0, 1000000.0, 2000000.0]
+    """
+    passed = time - time[0]
+    even = np.linspace(0.0, float(passed[-1]), passed.size)
+    rounding = float(np.spacing(np.max(np.abs(time))))
+    return even if np.all(np.abs(even - passed) <= rounding) else passed
+
+
 def _is_date(values: Values) -> bool:
     return any(first <= float(values[0]) <= last for first, last in DATES)
 
 
-def length_unit(choice: Choice, settled: str | None, beside: Choice | None = None) -> tuple[str | None, str]:
+def length_unit(
+    choice: Choice, settled: str | None, beside: Choice | None = None, *, speed: float = 0.0
+) -> tuple[str | None, str]:
     """Return the unit of a position that states none, and why; None where SI is.
 
     Parameters
@@ -98,6 +159,8 @@ def length_unit(choice: Choice, settled: str | None, beside: Choice | None = Non
         Of the reference or of the gains, where they state one.
     beside : Choice, optional
         The reference, or the position, whose unit `settled` is.
+    speed : float
+        Largest of the column [per second], zero where it is not known.
 
     Raises
     ------
@@ -119,14 +182,17 @@ def length_unit(choice: Choice, settled: str | None, beside: Choice | None = Non
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
     is_whole = np.array_equal(values, np.round(values))
-    if travel <= (MOST_TURNS if is_angle else LONGEST_AXIS) and not (is_whole and travel > 2):
+    is_far = travel > (MOST_TURNS if is_angle else LONGEST_AXIS) or (is_whole and travel > 2)
+    is_fast = speed > FASTEST_AXIS and not (is_angle or is_far)
+    if not (is_far or is_fast):
         return (si if is_angle else None), f"{si} is assumed (it travels {travel:.3g})"
     units = ["deg", "rad"] if is_angle else ["mm", "deg", "rad"]
     if is_whole:
         units.append("counts")
     readings = " or ".join(f"--unit {{}}={unit}" for unit in units)
     raise InputError(
-        f"column {quote(choice.address)} travels {travel:.4g} and states no unit: {', '.join(units[:-1])} and"
+        f"column {quote(choice.address)} travels {travel:.4g}{f', at up to {speed:.3g} per second,' if is_fast else ''}"
+        f" and states no unit: {', '.join(units[:-1])} and"
         f" {units[-1]} are plausible; say {readings.replace('{}', 'position')}"
     )
 
@@ -147,6 +213,35 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
             f"column {quote(choice.address)} travels {sizes[0]:.3g} and states no unit, beside {sizes[1]:.3g} {settled}"
             f" of {quote(beside.address if beside else '')}; say {readings}"
         )
+
+
+def check_own_length(signal: str, choice: Choice, beside: Choice, settled: str) -> None:
+    """Ask about a column of a record file, in SI as it states no unit, that travels as its partner does in its unit.
+
+    Parameters
+    ----------
+    signal : str
+        Position or reference.
+    choice, beside : Choice
+        The column and its partner.
+    settled : str
+        The partner's unit, as the file states it.
+
+    Raises
+    ------
+    InputError
+        With both units.
+    """
+    unit = parse_unit(settled)
+    if unit is None or choice.column.values.size < FEWEST_SAMPLES or not is_alike(choice, beside, settled):
+        return
+    si = "rad" if "rad" in dict(unit.dimension) else "m"
+    sizes = [float(np.max(np.abs(one.column.values))) for one in (choice, beside)]
+    raise InputError(
+        f"column {quote(choice.address)} states no unit, which is {si} in a record file, and reaches {sizes[0]:.4g}"
+        f" beside {sizes[1]:.4g} {settled} of {quote(beside.address)}; say --unit {signal}={typed(settled)} or --unit"
+        f" {signal}={si}"
+    )
 
 
 def is_alike(choice: Choice, beside: Choice, settled: str) -> bool:
@@ -179,6 +274,33 @@ def travel_of(values: Values) -> float:
     if values.dtype.kind not in "iuf" or not values.size or not np.isfinite(values).all():
         return 0.0
     return float(np.ptp(values))
+
+
+def speed_of(position: Choice, time: Choice, unit: str | None) -> float:
+    """Return at which speed a position passes a quarter of its travel [its unit per second], zero where none tells.
+
+    Samples that stick out, and noise, make no such speed: each is the median of five.
+
+    Parameters
+    ----------
+    position, time : Choice
+        Of one table.
+    unit : str or None
+        Of the time.
+    """
+    y, t, parsed = position.column.values, time.column.values, parse_unit(unit or "s")
+    if parsed is None or y.size != t.size or y.size < FEWEST_SAMPLES or not travel_of(y) or not travel_of(t):
+        return 0.0
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(y, 5), axis=1)
+    instants, travel, span = t[2:-2] * parsed.factor, float(np.ptp(smooth)), 1
+    while span < smooth.size:
+        moved = np.abs(smooth[span:] - smooth[:-span])
+        if np.max(moved) > travel / 4:
+            at = int(np.argmax(moved))
+            passed = float(instants[at + span] - instants[at])
+            return float(moved[at]) / passed if passed > 0 else 0.0
+        span *= 2
+    return 0.0
 
 
 def velocity_unit(
