@@ -1,4 +1,4 @@
-"""What chosen columns lack and others, or rows before, supply: a value that holds on, the sign of a magnitude."""
+"""What chosen columns lack and others, or rows before, supply: a held value, a magnitude's sign, a reference."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.files import quote
-from servolens.reading.roles import turns
-from servolens.reading.scales import VELOCITY_AGREES
-from servolens.reading.words import meaning
+from servolens.reading.guess import Guess
+from servolens.reading.narrowing import alike, near
+from servolens.reading.roles import candidates, turns
+from servolens.reading.scales import VELOCITY_AGREES, is_alike, length_unit, travel_of
+from servolens.reading.words import allows, meaning
+from servolens.units import parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,15 +28,15 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["held", "signed"]
+__all__ = ["held", "referred", "signed"]
 
 HELD = ("reference", "feedforward", "enabled")
 """Signals that keep their value until a new one is set."""
 MOVING = 0.1
 """Share of the largest speed from which on an axis moves."""
 WORK = 0.1
-"""Correlation of command and speed from which on the motor surely drives the axis; chosen: a few times that of
-unrelated signals in short records, and less than that of the axes of the laboratory (0.15 to 0.8)."""
+"""Correlation of a command, or an error, with the speed from which on it surely drives the axis; chosen: a few times
+that of unrelated signals in short records, and less than that of the axes of the laboratory (0.15 to 0.8)."""
 
 
 def held(chosen: Mapping[str, Choice]) -> tuple[dict[str, Choice], list[Finding]]:
@@ -216,3 +219,105 @@ def _signs(direction: Column, command: Choice, position: Choice) -> tuple[Values
     forward = levels[-1] if work > 0 else levels[0]
     why = f" ({forward:g} is forward, as command and speed agree: r = {abs(work):.2f})"
     return (None if abs(work) < WORK else np.sign(work) * signs), why
+
+
+def referred(
+    chosen: Mapping[str, Choice], unit: str | None, tables: Sequence[Table], stated: str | None
+) -> tuple[Choice | None, list[Finding]]:
+    """Return the reference that the position and the logged error make where none is logged, and remarks.
+
+    That the error is reference less position, and not the other way round, the motion tells: a loop drives its axis by
+    the error, so that error and speed correlate. Where they do not, no reference is made of it.
+
+    Parameters
+    ----------
+    chosen : mapping of str to Choice
+        The columns of the signals.
+    unit : str or None
+        Of the position; None is SI.
+    tables : sequence of Table
+        Of the file.
+    stated : str or None
+        Unit of the error, where the caller gives it as that of the reference.
+
+    Raises
+    ------
+    InputError
+        If two units are plausible, or if the error's sign is not clear and no command is logged either.
+    """
+    position = chosen["position"]
+    error = _error_beside(position, chosen, tables)
+    own = None if error is None else stated or error.unit or _unit_of_error(error, unit, position)
+    scale = _per_error(position, error, unit, own) if error else None
+    found = _speed(position)
+    if error is None or scale is None or found is None:
+        return None, []
+    e, speed = error.column.values[found[1]], found[0][found[1]]
+    size = float(np.linalg.norm(e) * np.linalg.norm(speed))
+    work = float(e @ speed) / size if size > 0 else 0.0
+    if abs(work) < WORK:
+        return None, _of_unclear_sign(error, is_needed="voltage" not in chosen)
+    sign, way = (1.0, "+") if work > 0 else (-1.0, "-")
+    how = "go together" if work > 0 else "are opposed"
+    evidence = f"no reference is logged; error and speed {how} (r = {abs(work):.2f})"
+    source = f"{position.address} {way} {error.address}"
+    origin = Guess(quantity="reference", source=source, value=own or "", evidence=evidence)
+    values = scale * position.column.values + sign * error.column.values
+    column = replace(error.column, name=source, values=values, unit=own, origin=origin)
+    return replace(error, column=column), []
+
+
+def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequence[Table]) -> Choice | None:
+    """Return the one column that is the position loop's error, by its name, and varies."""
+    taken, size = {id(choice.column) for choice in chosen.values()}, position.column.values.size
+    found = [
+        replace(choice, meaning=replace(choice.meaning, roles=("reference",)))
+        for choice in candidates(tables)
+        if choice.meaning.kind == "error"
+        and id(choice.column) not in taken
+        and choice.column.values.size == size
+        and travel_of(choice.column.values) > 0
+        and (choice.unit is None or allows("position", choice.unit))
+    ]
+    found = alike(near(found, position)) if found else []
+    return found[0] if len(found) == 1 and found[0].table == position.table else None
+
+
+def _unit_of_error(error: Choice, unit: str | None, position: Choice) -> str | None:
+    """Return the unit of an error that states none: the position's, where it is not nearer to that in SI."""
+    return length_unit(error, unit, position)[0] if unit else None
+
+
+def _per_error(position: Choice, error: Choice, unit: str | None, own: str | None) -> float | None:
+    """Return units of the error in one of the position, None where they are of different kinds.
+
+    Raises
+    ------
+    InputError
+        If the position states no unit and is about as large as the error in that one's.
+    """
+    if unit == own:
+        return 1.0
+    mine, errors = parse_unit(unit or ""), parse_unit(own or "")
+    if errors is None:
+        return None
+    if mine is not None:
+        return mine.factor / errors.factor if mine.dimension == errors.dimension else None
+    if is_alike(position, error, own or ""):
+        si = "rad" if "rad" in dict(errors.dimension) else "m"
+        raise InputError(
+            f"column {quote(position.address)} states no unit beside {quote(error.address)} in {own}; say --unit"
+            f" position={own} or --unit position={si}"
+        )
+    return 1.0 / errors.factor if "count" not in dict(errors.dimension) else None
+
+
+def _of_unclear_sign(error: Choice, *, is_needed: bool) -> list[Finding]:
+    begin = (
+        f"the column {quote(error.address)} may be reference less position or the other way round, as it does not go"
+        " with the motion"
+    )
+    if is_needed:
+        raise InputError(f"{begin}, and neither reference nor voltage is logged; log the reference")
+    message = f"{begin}; no reference was taken from it. Log the reference."
+    return [Finding(code="error_not_used", severity="note", message=message)]

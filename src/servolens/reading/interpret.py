@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.clock import unwrapped, with_clock
-from servolens.reading.completed import held, signed
+from servolens.reading.completed import held, referred, signed
 from servolens.reading.contradictions import check_choices, check_units_of_names
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
@@ -122,6 +122,8 @@ def interpret(
     stated = check_mapping(units, "units", "mm")
     found = _units(chosen, stated, tables, {**comments, **gains, **(settings or {})})
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
+    if "reference" not in {*chosen, *(columns or {})} and not _states_reference({**comments, **(settings or {})}):
+        remarks += _take_reference(chosen, found, tables, stated.get("reference"))
     _check_numbers(chosen)
     remarks += _about_length(chosen, found, known := {**comments, **gains, **_given(settings)})
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
@@ -146,11 +148,21 @@ def interpret(
         units=texts,
         comments={**gains, **comments},
         guesses=tuple(guesses),
-        columns={signal: choice.address for signal, choice in chosen.items()}
+        columns={signal: c.address for signal, c in chosen.items() if signal == "time" or not c.column.origin}
         | {signal: NONE for signal, name in (columns or {}).items() if name == NONE},
         remarks=tuple(remarks),
         found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
     )
+
+
+def _take_reference(
+    chosen: dict[str, Choice], found: dict[str, tuple[str | None, str]], tables: Sequence[Table], stated: str | None
+) -> list[Finding]:
+    """Add the reference that an error beside the position makes to the columns and their units; return remarks."""
+    made, remarks = referred(chosen, found["position"][0], tables, stated)
+    if made is not None:
+        chosen["reference"], found["reference"] = made, (made.column.unit, "")
+    return remarks
 
 
 def _given(settings: Mapping[str, object] | None) -> dict[str, object]:

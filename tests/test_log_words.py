@@ -1,0 +1,208 @@
+"""Logs in further languages, with an error in the place of a reference, of clocks of computers, and in small units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.campaign import read_logs, read_records
+from servolens.conversion import write_campaign
+from servolens.errors import InputError
+from servolens.reading import read_log
+from servolens.reading.words import meaning
+
+TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
+T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
+
+
+def log(folder, heads, *columns, separator=","):
+    """Write a log; cells that are texts stand as they are."""
+    rows = zip(*columns, strict=True)
+    body = "".join(separator.join(x if isinstance(x, str) else f"{x:.9g}" for x in row) + "\n" for row in rows)
+    path = folder / "run.csv"
+    path.write_text(separator.join(heads) + "\n" + body, encoding="utf-8")
+    return path
+
+
+def check(record, scale=1.0):
+    for signal, truth in (("position", Y * scale), ("reference", R * scale), ("voltage", U)):
+        assert getattr(record, signal) == pytest.approx(truth, abs=1e-5 * scale + 1e-6), signal
+
+
+def evidence(reading, quantity):
+    return next(guess for guess in reading.guesses if guess.quantity == quantity)
+
+
+# ---- languages
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [
+        ("temps (s)", "consigne (mm)", "position (mm)", "tension (V)"),
+        ("Temps", "Position de consigne [mm]", "Position mesurée [mm]", "Tension moteur"),
+        ("tempo [s]", "riferimento [mm]", "posizione [mm]", "tensione [V]"),
+        ("Tempo", "Posizione di riferimento [mm]", "Posizione misurata [mm]", "Tensione motore"),
+        ("tiempo [s]", "referencia [mm]", "posición [mm]", "tensión [V]"),
+        ("Tiempo", "Posición de referencia [mm]", "Posicio\u0301n medida [mm]", "Tensión del motor"),
+    ],
+    ids=["French", "French compounds", "Italian", "Italian compounds", "Spanish", "Spanish compounds"],
+)
+def test_headings_in_french_italian_and_spanish_are_read(tmp_path, heads):
+    reading = read_log(log(tmp_path, heads, T, 1e3 * R, 1e3 * Y, U))
+    check(reading.record)
+    assert evidence(reading, "time").value == "s"
+
+
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        *(
+            (name, ())
+            for name in ("tension", "Belt tension [V]", "tension [N]", "Tension d'alimentation", "velocity error")
+        ),
+        *((name, ()) for name in ("Temps de cycle", "consigne de vitesse", "écart [mm]")),
+        *((name, ("velocity",)) for name in ("Tempo", "Velocità", "vitesse")),
+        *((name, ("time",)) for name in ("tempo [ms]", "temps_ms")),
+        *((name, ("voltage",)) for name in ("tension [V]", "tensione", "Courant moteur")),
+    ],
+)
+def test_a_word_of_several_languages_is_what_its_unit_and_its_neighbours_say(name, roles):
+    assert meaning(name).roles == roles
+
+
+def test_an_english_tension_is_no_command(tmp_path):
+    heads = ("time [s]", "position [mm]", "setpoint [mm]", "tension")
+    with pytest.raises(InputError, match="the gains are unknown and no column is known as the command"):
+        read_log(log(tmp_path, heads, T, 1e3 * Y, 1e3 * R, 5 + Y))
+
+
+# ---- an error in the place of the reference
+
+
+@pytest.mark.parametrize("name", ["error", "e [m]", "Schleppfehler", "Schleppabstand", "following error", "lag error"])
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["reference less position", "position less reference"])
+def test_a_logged_error_makes_the_reference(tmp_path, name, sign):
+    reading = read_log(log(tmp_path, ("time [s]", name, "position [m]", "voltage [V]"), T, sign * (R - Y), Y, U))
+    check(reading.record)
+    made = evidence(reading, "reference")
+    assert made.source.startswith("position + " if sign > 0 else "position - ")
+    assert made.evidence.startswith("no reference is logged; error and speed ")
+    assert not made.is_stated
+    assert (reading.record.controller.kp, reading.record.controller.kd) == pytest.approx((60, 4), rel=1e-2)
+
+
+def test_an_error_in_another_unit_is_converted_and_the_campaign_reads_the_same(tmp_path):
+    path = log(tmp_path, ("time [s]", "e [mm]", "position [cm]", "voltage [V]"), T, 1e3 * (R - Y), 1e2 * Y, U)
+    check(read_log(path).record)
+    write_campaign(read_logs([path]), tmp_path / "axis.toml")
+    check(read_records(tmp_path / "axis.toml")[0])
+
+
+@pytest.mark.parametrize(
+    ("heads", "factors", "part"),
+    [
+        (("t", "error", "pos [mm]", "u"), (1.0, 1e3), "say --unit reference=mm or --unit reference=m"),
+        (("t", "e [mm]", "pos", "u"), (1e3, 1e3), "say --unit position=mm or --unit position=m"),
+    ],
+    ids=["error without", "position without"],
+)
+def test_an_error_of_which_the_unit_is_not_clear_is_a_question(tmp_path, heads, factors, part):
+    columns = T, factors[0] * (R - Y) * 0.005, factors[1] * Y * 0.005, U
+    with pytest.raises(InputError, match=part):
+        read_log(log(tmp_path, heads, *columns))
+
+
+def test_an_error_that_does_not_go_with_the_motion_makes_no_reference(tmp_path):
+    still = 1e-3 * np.random.default_rng(1).standard_normal(T.size)
+    heads = ("time [s]", "error [m]", "position [m]", "voltage [V]")
+    reading = read_log(log(tmp_path, heads, T, still, Y, U))
+    assert reading.record.reference is None
+    assert [remark.code for remark in reading.record.remarks] == ["error_not_used"]
+    with pytest.raises(InputError, match="'error' may be reference less position or the other way round"):
+        read_log(log(tmp_path, heads[:3], T, still, Y), settings={"kp": "60 V/m", "kd": "4 V s/m"})
+
+
+def test_a_stated_reference_goes_before_an_error(tmp_path):
+    path = log(tmp_path, ("time [s]", "error [m]", "position [m]", "voltage [V]"), T, R - Y, Y, U)
+    assert np.ptp(read_log(path, settings={"reference": "0.1"}).record.reference) == 0
+    assert read_log(path, columns={"reference": "-"}).record.reference is None
+
+
+# ---- clocks of computers
+
+
+@pytest.mark.parametrize(
+    ("start", "ticks", "unit"),
+    [
+        (132_500_000_000_000_000, 1e7, "100 ns"),
+        (638_000_000_000_000_000, 1e7, "100 ns"),
+        (1_700_000_000_000_000_000, 1e9, "ns"),
+        (1_700_000_000_000_000, 1e6, "us"),
+        (1_700_000_000_000, 1e3, "ms"),
+    ],
+    ids=["FILETIME", "NET", "nanoseconds", "microseconds", "milliseconds"],
+)
+@pytest.mark.parametrize("form", ["{}", "{:.17e}"], ids=["whole", "float"])
+@pytest.mark.parametrize("name", ["timestamp", "time"])
+def test_stamps_of_computers_are_told_by_their_date(tmp_path, start, ticks, unit, form, name):
+    cells = [form.format(start + round(t * ticks)) for t in T]
+    reading = read_log(log(tmp_path, (name, "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U))
+    assert evidence(reading, "time").value == unit
+    assert np.diff(reading.record.time) == pytest.approx(np.diff(T), rel=1e-5)
+
+
+def test_stamps_that_are_not_even_stay_as_they_are(tmp_path):
+    late = np.round(1e9 * T) + np.where(np.arange(T.size) % 7 == 3, 200_000, 0)
+    cells = [str(1_700_000_000_000_000_000 + int(x)) for x in late]
+    record = read_log(log(tmp_path, ("stamp", "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U)).record
+    assert record.time == pytest.approx(1e-9 * late, abs=0.3e-6)
+
+
+# ---- small units
+
+
+@pytest.mark.parametrize("scale", [50.0, 30.0])
+def test_a_position_too_fast_for_metres_is_a_question(tmp_path, scale):
+    path = log(tmp_path, ("t", "pos", "ref", "u"), T, scale * Y + 0.01, scale * R + 0.01, U)
+    with pytest.raises(InputError, match=r"at up to .* per second, and states no unit: mm, deg and rad are plausible"):
+        read_log(path)
+    record = read_log(path, units={"position": "mm"}).record
+    assert np.ptp(record.reference) == pytest.approx(1e-3 * scale * np.ptp(R))
+
+
+def test_a_record_file_too_fast_for_metres_is_read_with_a_warning(tmp_path):
+    path = log(tmp_path, ("time", "position", "reference", "voltage"), T, 50 * Y, 50 * R, U)
+    (warning,) = (one for one in read_log(path).record.remarks if one.code == "length_unit_assumed")
+    assert "at up to" in warning.message
+
+
+def test_spikes_make_no_speed(tmp_path):
+    spiked = Y.copy()
+    spiked[100:400:50] += 0.2
+    record = read_log(log(tmp_path, ("t", "pos", "ref", "u"), T, spiked, R, U)).record
+    assert np.max(record.position) == pytest.approx(np.max(spiked), abs=1e-6)
+
+
+# ---- a reference without a unit beside a position with one
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("mm", 1e3), ("rev", 2.0), ("deg", 500.0)])
+def test_a_named_reference_is_in_the_unit_of_its_position(tmp_path, unit, scale):
+    heads = ("time", f"position [{unit}]", "cmd1", "voltage")
+    record = read_log(log(tmp_path, heads, T, scale * Y, scale * R, U), columns={"reference": "cmd1"}).record
+    assert np.ptp(record.reference) / np.ptp(record.position) == pytest.approx(np.ptp(R) / np.ptp(Y), rel=1e-3)
+
+
+@pytest.mark.parametrize(("unit", "si"), [("mm", "m"), ("rev", "rad")])
+def test_a_record_file_s_reference_that_travels_as_its_position_s_unit_is_a_question(tmp_path, unit, si):
+    path = log(tmp_path, ("time", f"position [{unit}]", "reference", "voltage"), T, 9 * Y, 9 * R, U)
+    with pytest.raises(InputError, match=f"say --unit reference={unit} or --unit reference={si}$"):
+        read_log(path)
+    assert np.ptp(read_log(path, units={"reference": unit}).record.reference) > 0
+
+
+def test_a_record_file_s_reference_in_si_beside_millimetres_is_none(tmp_path):
+    path = log(tmp_path, ("time", "position [mm]", "reference", "voltage"), T, 1e3 * Y, R, U)
+    check(read_log(path).record)
