@@ -38,6 +38,7 @@ ROWS = "0.000,0,0.1\n0.001,0,0.1\n0.002,1e-5,0.1\n"
 GAIN = "# kp = 60\n"
 ROW = "0,0,1\n"
 TWO = "0,0,1\n1,1,1\n"
+ORDERED = "; a record is one run in the order of its time: split or sort the rows"
 REGULAR = "; if the stamps were rounded, state the sample_time instead"
 FILL = "; fill or leave out such rows"
 LAW = "; give it in V/m or V/rad, or A, N, N m, %, pwm in place of V"
@@ -321,7 +322,10 @@ def test_loop_settings_without_gains_are_a_remark(write):
             "2 columns are named 'position'; say which, e.g. --column position=2 or --column position=3",
         ),
         (GAIN + HEADER + "0,0,1\n0,1,1\n", "time must increase; sample 1 (0 s) repeats sample 0 (0 s)" + REGULAR),
-        (GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n", "time must increase; sample 2 (1 s) lies before sample 1 (2 s)"),
+        (
+            GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n",
+            "time must increase; sample 2 (1 s) lies before sample 1 (2 s)" + ORDERED,
+        ),
         (GAIN + HEADER + "0,0,1\n1,nan,1\n", "line 4, position: 'nan' is not a finite number" + FILL),
         (GAIN + HEADER + "0,0,1\n1,1,-inf\n", "line 4, reference: '-inf' is not a finite number" + FILL),
         (GAIN + HEADER + "0,0,1\n1,1e999,1\n", "line 4, position: '1e999' is not a finite number" + FILL),

@@ -14,8 +14,8 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record, record_from_dataframe, record_from_timeresponse
+from servolens.reading.lines import unified
 from servolens.reading.reference_file import read_reference_file
-from servolens.reading.text import unified
 from servolens.reading.words import meaning
 from servolens.record import Controller
 

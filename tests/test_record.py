@@ -266,7 +266,8 @@ def test_signals_are_read_only_copies():
         ),
         (
             {"time": [0, 0.2, 0.1, 0.3]},
-            "record: time must increase; sample 2 (0.1 s) lies before sample 1 (0.2 s)",
+            "record: time must increase; sample 2 (0.1 s) lies before sample 1 (0.2 s)"
+            "; a record is one run in the order of its time: split or sort the rows",
         ),
         (
             {"reference": None},

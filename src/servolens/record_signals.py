@@ -90,7 +90,8 @@ def check_time(time: NDArray[np.float64], steps: NDArray[np.float64], record: st
         k = int(np.argmax(steps <= 0)) + 1
         same = time[k] == time[k - 1]
         verb = "repeats" if same else "lies before"
-        remedy = "; if the stamps were rounded, state the sample_time instead" if same else ""
+        rounded = "; if the stamps were rounded, state the sample_time instead"
+        remedy = rounded if same else "; a record is one run in the order of its time: split or sort the rows"
         met = f"sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
         raise InputError(f"{record}: time must increase; {met}{remedy}")
 

@@ -18,8 +18,8 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.reading.cells import fault_of, numbers
 from servolens.reading.files import quote
+from servolens.reading.lines import unified
 from servolens.reading.table import MOST_COLUMNS, Column, Fault, Table
-from servolens.reading.text import unified
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

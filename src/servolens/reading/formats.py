@@ -13,6 +13,7 @@ from servolens.reading.codesys import is_codesys, read_codesys
 from servolens.reading.files import is_folder, read_bytes, read_start
 from servolens.reading.isolated import read_isolated
 from servolens.reading.json_text import read_json
+from servolens.reading.lines import encoding_of
 from servolens.reading.mat import read_mat
 from servolens.reading.table import Table
 from servolens.reading.text import read_text
@@ -75,7 +76,6 @@ NOT_READ = {
 """What files begin with that are known and not read, and what to do; each is the format's own mark."""
 _PICKLE = re.compile(rb"\x80[\x02-\x05]")
 _MAT5 = (b"\x00\x01IM", b"\x01\x00MI")
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 _LOOKED_AT = 4096
 
@@ -133,7 +133,7 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
     if path.suffix.lower() == ".mat":
         raise InputError("is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB")
     _check_known(content)
-    if b"\0" in content[: 2 * _LOOKED_AT] and not content.startswith(_UTF16):
+    if b"\0" in content[: 2 * _LOOKED_AT] and encoding_of(content) is None:
         raise InputError("is a binary file of an unknown kind; see the documentation for the formats that are read")
     if is_codesys(content):
         return read_codesys(content)

@@ -394,9 +394,10 @@ def _on_one_clock(
     if chosen["time"].table != home:
         own = _own_clock(tables, home)
         if own is None and chosen["position"].column.values.size != time.size:
+            names = [quote(tables[k].name) if tables[k].name else "unnamed" for k in (home, chosen["time"].table)]
             raise InputError(
-                f"position and time stand in different tables ({quote(tables[home].name)} and"
-                f" {quote(tables[chosen['time'].table].name)}) of different lengths; name columns of one table"
+                f"position ({names[0]}, {chosen['position'].column.values.size} values) and time ({names[1]},"
+                f" {time.size} values) stand in different tables of different lengths; name columns of one table"
             )
     first = float(time[0]) if time.size and np.isfinite(time[0]) else 0.0
     start = first if abs(first) * _factor(units.get("time")) > EPOCH else 0.0

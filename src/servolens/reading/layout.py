@@ -112,6 +112,7 @@ def _first(rows: Sequence[Sequence[str]], kinds: Sequence[Sequence[bool]], typed
 
 def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozenset[int]) -> Layout:
     above = [[cell.strip().strip('"').strip() for cell in row] for row in rows[:first]]
+    above = [row for row in above if not _is_rule(row)]
     scope = _scope(above, width)
     if scope is not None:
         return Layout(*scope, first, typed, has_clocks=scope[0][0] == "time")
@@ -130,6 +131,12 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     last = above[-1] if above else []
     is_text = sum(bool(cell) for cell in last) > 1 and all(number(cell) is None for cell in last if cell)
     return Layout(numbered, units, first, typed, properties_of(above), False, len(last) if is_text else 0)
+
+
+def _is_rule(row: Sequence[str]) -> bool:
+    """Tell whether a row is a line below a heading, as ``|---|:--:|`` in notes; a row of units has single dashes."""
+    given = [cell for cell in row if cell]
+    return bool(given) and all(len(cell) > 1 and not cell.strip("-=:+_") for cell in given)
 
 
 def _without_mark(above: list[list[str]], width: int) -> list[list[str]]:

@@ -202,8 +202,14 @@ def _rows(rows: Sequence[Any], path: Path, names: Sequence[str] | None) -> Itera
 
 
 def _numbers(values: Sequence[Any]) -> NDArray[np.float64] | None:
-    """Return numbers, nan for null, or None for anything else."""
-    if len(values) < 2 or not all(value is None or isinstance(value, int | float) for value in values):
+    """Return numbers, also those in quotation marks, nan for null, or None for anything else."""
+    if len(values) < 2:
+        return None
+    if any(isinstance(value, str) for value in values):
+        values = [number(value) if isinstance(value, str) else value for value in values]
+        if any(value is None for value in values):
+            return None
+    if not all(value is None or isinstance(value, int | float) for value in values):
         return None
     try:
         array = np.array([math.nan if value is None else float(value) for value in values])

@@ -22,9 +22,10 @@ from servolens.reading.cells import (
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of, units_above
-from servolens.reading.plain_numbers import plain_numbers
+from servolens.reading.lines import unbroken, unified
 from servolens.reading.serial_monitor import as_table
 from servolens.reading.settings import comment_settings
+from servolens.reading.stamps import is_stamp
 from servolens.reading.table import MOST_COLUMNS, Column, Table
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-__all__ = ["read_text", "unified"]
+__all__ = ["read_text"]
 
 SEPARATORS = ("\t", ";", ",", "|", " ")
 LAYOUT_LINES = 400
@@ -82,8 +83,9 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     plain, comments = _without_comments(unified(content))
+    plain, breaks = unbroken(plain, LAYOUT_LINES)
     plain, cut, moved = as_table(plain)
-    form = replace(_form(plain, comments), moved=moved)
+    form = replace(_form(plain, comments, moved - breaks), moved=moved - breaks)
     columns, remarks = _columns(plain, form)
     table = Table(
         columns=columns,
@@ -155,29 +157,7 @@ def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
     return b"".join(parts), found
 
 
-def unified(content: bytes) -> bytes:
-    """Return UTF-8 with line feeds, whatever the encoding and the line ends were."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        content = _recoded(content, "utf-16")
-    content = content.removeprefix(b"\xef\xbb\xbf")
-    if not content.isascii():
-        try:
-            content.decode()
-        except UnicodeDecodeError:
-            content = _recoded(content, "cp1252")
-    if b"\r" in content:
-        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return plain_numbers(content)
-
-
-def _recoded(content: bytes, encoding: str) -> bytes:
-    try:
-        return content.decode(encoding).encode()
-    except UnicodeError as error:
-        raise InputError("is not text in UTF-8, UTF-16 or Latin-1; save it as UTF-8 CSV") from error
-
-
-def _form(content: bytes, comments: Sequence[str]) -> _Form:
+def _form(content: bytes, comments: Sequence[str], moved: int) -> _Form:
     """Find separator, decimal sign and layout from the first lines.
 
     Of several separators the one that leaves the largest share of cells that are numbers, blank ones left out; of equal
@@ -208,18 +188,44 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
         raise InputError(
             f"the rows have {len(layout.names)} values where the header row has {layout.other_width}{hint}"
         )
+    above = skipped + layout.first - 1
+    if above > skipped and (odd := _odd_number(fields_of(texts[above], separator), layout, decimal)):
+        raise InputError(
+            f"line {lines[above][0] + 1 - moved} holds {quote(odd)}, no number as those below it; {REWRITE}"
+        )
     head = [fields_of(text, separator) for text in texts[:skipped]]
     units = units_above(head, layout.units)
     layout = replace(layout, units=units, properties={**properties_of(head), **layout.properties})
+    if not layout.has_names and above >= skipped:
+        layout = _names_otherwise(layout, texts[above], separator)
     if not layout.has_names and comments:
         layout = _names_in_comment(layout, comments[-1], separator)
     return _Form(separator, decimal, layout, lines[skipped + layout.first][0])
+
+
+def _odd_number(cells: Sequence[str], layout: Layout, decimal: str) -> str:
+    """Return a cell that is a number in other signs than those below, of a row without any letter; empty without."""
+    given = [cell.strip() for cell in cells if cell.strip()]
+    is_row = len(cells) == len(layout.names) and all(re.search(r"\d", cell) for cell in given)
+    if not is_row or any(c.isalpha() for cell in given for c in cell) or is_stamp(given[0]):
+        return ""
+    return next((cell for cell in given if not is_value(cell, decimal)), "")
 
 
 def _nothing(texts: Sequence[str]) -> str:
     if any(len(fields_of(text, separator)) > 1 for text in texts[-1:] for separator in SEPARATORS[:3]):
         return "the header row is not followed by numbers"
     return "is text without a table of numbers; a record has a row of names and rows of numbers below it"
+
+
+def _names_otherwise(layout: Layout, line: str, separator: str) -> Layout:
+    """Take the names from the line above the numbers where another separator makes as many texts of it."""
+    for other in SEPARATORS[: SEPARATORS.index(" ")]:
+        cells = [cell.strip().strip('"').strip() for cell in fields_of(line, other)]
+        is_text = all(any(c.isalpha() for c in cell) for cell in cells)
+        if other != separator and len(cells) == len(layout.names) and is_text:
+            return replace(layout, names=tuple(cells), has_names=True, other_width=0)
+    return layout
 
 
 def _names_in_comment(layout: Layout, line: str, separator: str) -> Layout:
@@ -413,4 +419,5 @@ def _whole(fields: list[str], width: int, line: int, *, is_last: bool) -> list[s
     if len(fields) == width or (len(fields) == width + 1 and not fields[-1].strip()):
         return fields[:width]
     hint = "; if the log was cut off there, delete this last line" if is_last and len(fields) < width else ""
-    raise InputError(f"line {line} has {len(fields)} values where the header row has {width}{hint}")
+    count = f"{len(fields)} value{'s' if len(fields) > 1 else ''}"
+    raise InputError(f"line {line} has {count} where the header row has {width}{hint}")

@@ -1,0 +1,105 @@
+"""Text as lines of UTF-8, whatever the encoding, the line ends and the breaks within headings were."""
+
+from __future__ import annotations
+
+from servolens.errors import InputError
+from servolens.reading.plain_numbers import plain_numbers
+
+__all__ = ["encoding_of", "unbroken", "unified"]
+
+MARKS = (
+    (b"\xff\xfe\x00\x00", "utf-32"),
+    (b"\x00\x00\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+"""What files of other encodings begin with; the longer mark first, as one begins with the other."""
+LOOKED_AT = 400
+"""Bytes that tell an encoding without a mark: of ASCII letters in two bytes each, every other byte is zero."""
+MOST_BREAKS = 20
+"""Line breaks of one row of headings."""
+_SEPARATORS = (b",", b";", b"\t", b"|")
+
+
+def encoding_of(content: bytes) -> str | None:
+    """Return the encoding of a text in UTF-16 or UTF-32, with its mark or, of UTF-16, without; None of another one.
+
+    Examples
+    --------
+    >>> encoding_of("time".encode("utf-16")), encoding_of("time".encode("utf-16-be")), encoding_of(b"time")
+    ('utf-16', 'utf-16-be', None)
+    """
+    for mark, encoding in MARKS:
+        if content.startswith(mark):
+            return encoding
+    even, odd = content[:LOOKED_AT:2], content[1:LOOKED_AT:2]
+    if len(odd) > 1 and not any(odd) and all(even):
+        return "utf-16-le"
+    return "utf-16-be" if len(odd) > 1 and not any(even) and all(odd) else None
+
+
+def unified(content: bytes) -> bytes:
+    """Return UTF-8 with line feeds, whatever the encoding and the line ends were.
+
+    Raises
+    ------
+    InputError
+        If it is text in none of these encodings.
+    """
+    if encoding := encoding_of(content):
+        content = _recoded(content, encoding)
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if not content.isascii():
+        try:
+            content.decode()
+        except UnicodeDecodeError:
+            content = _recoded(content, "cp1252")
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return plain_numbers(content)
+
+
+def _recoded(content: bytes, encoding: str) -> bytes:
+    try:
+        return content.decode(encoding).encode()
+    except UnicodeError as error:
+        raise InputError("is not text in UTF-8, UTF-16 or Latin-1; save it as UTF-8 CSV") from error
+
+
+def unbroken(content: bytes, head: int) -> tuple[bytes, int]:
+    r"""Return a text without line breaks within quotation marks in its first lines, and how many there were.
+
+    So spreadsheets write headings of several lines.
+
+    Parameters
+    ----------
+    content : bytes
+        With line feeds.
+    head : int
+        How many lines are looked at.
+
+    Examples
+    --------
+    >>> unbroken(b'"time\n[s]",pos\n0,1\n', 400)
+    (b'"time [s]",pos\n0,1\n', 1)
+    """
+    lines = content.split(b"\n", head)
+    lines, rest = lines[:head], lines[head:]
+    if not any(map(_is_open, lines)):
+        return content, 0
+    whole: list[bytes] = []
+    at = 0
+    while at < len(lines):
+        row = lines[at : at + 1]
+        while _is_open(b" ".join(row)) and len(row) <= MOST_BREAKS and at + len(row) < len(lines):
+            row.append(lines[at + len(row)])
+        if _is_open(b" ".join(row)):
+            row = row[:1]
+        whole.append(b" ".join(row))
+        at += len(row)
+    return b"\n".join([*whole, *rest]), len(lines) - len(whole)
+
+
+def _is_open(line: bytes) -> bool:
+    """Tell whether a cell in quotation marks goes on in the next line; a mark behind a number is one of inches."""
+    return line.count(b'"') % 2 == 1 and line[: line.rindex(b'"')].rstrip(b" ")[-1:] in (b"", *_SEPARATORS)
