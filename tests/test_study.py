@@ -440,8 +440,8 @@ def test_red_light_says_what_was_taken_from_a_record(cart):
         replace(lab.step_record(CART, 25, reference=0.15), name="far"),
     ]
     said = default_sentence(runs, {})
-    assert said == "Kp and the step are, by default, those of fast; --kp and --reference ask for others."
-    assert default_sentence(runs, {"kp": 25.0}) == "The step is, by default, that of far; --reference asks for another."
+    assert said == "By default, kp and the step are those of fast; --kp and --reference ask for others."
+    assert default_sentence(runs, {"kp": 25.0}) == "By default, the step is that of far; --reference asks for another."
     assert default_sentence(runs, {"kp": 25.0, "reference": 0.1}) == ""
     found = study_records(cart.records, replace(SPEC, settling_time=0.05), effort="quick")
     told = found.noting(said)
@@ -454,6 +454,9 @@ def test_kp_that_no_record_states_must_be_given(cart):
     blind = cart.records[0].with_({"reference": None, "controller": None})
     with pytest.raises(InputError, match=f"{blind.name}: the records state no kp; .*--record-kp"):
         completed_spec([blind], {"settling_time": 0.5})
+    still = cart.records[0].with_({"controller": Controller(kp=-60.0)})
+    with pytest.raises(InputError, match="the records state no kp above zero; "):
+        completed_spec([still], {"settling_time": 0.5})
     assert completed_spec([blind], {"settling_time": 0.5, "kp": 10.0}).kp == 10.0
     assert suggested_spec([blind], cart.model.plant) is None
 

@@ -24,9 +24,9 @@ __all__ = ["completed_spec", "default_sentence", "design_notes", "suggested_spec
 SAMPLING = ("sample_time", "derivative_filter", "derivative_window", "derivative")
 GAINS_TRIED = 41
 DEFAULTS = {
-    ("kp", "reference"): "Kp and the step are, by default, those of {record}; --kp and --reference ask for others.",
-    ("kp",): "Kp is, by default, that of {record}; --kp asks for another.",
-    ("reference",): "The step is, by default, that of {record}; --reference asks for another.",
+    ("kp", "reference"): "By default, kp and the step are those of {record}; --kp and --reference ask for others.",
+    ("kp",): "By default, kp is that of {record}; --kp asks for another.",
+    ("reference",): "By default, the step is that of {record}; --reference asks for another.",
 }
 """What is said of a spec of which these fields are not given."""
 LONGER = 4.0
@@ -65,9 +65,10 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     record = _shown(records, given)
     if record is None and "kp" not in given:
         names = ", ".join(record.name for record in records[:3]) + (" and others" if len(records) > 3 else "")
+        lacking = "no kp" if all(one.controller is None for one in records) else "no kp above zero"
         raise InputError(
-            f"{names}: the records state no kp; give the one to design for (on the command line --kp), or that of the"
-            " loop that made them (--record-kp)"
+            f"{names}: the records state {lacking}; give the one to design for (on the command line --kp), or that of"
+            " the loop that made them (--record-kp)"
         )
     known = {} if record is None else _loop_of(record)
     plain: dict[str, Any] = {name: value for name, value in known.items() if name in SAMPLING}
