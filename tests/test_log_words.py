@@ -10,7 +10,7 @@ from servolens.campaign import read_logs, read_records
 from servolens.conversion import write_campaign
 from servolens.errors import InputError
 from servolens.reading import read_log
-from servolens.reading.words import meaning
+from servolens.reading.words import meaning, unit_behind
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
 T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
@@ -45,9 +45,10 @@ def evidence(reading, quantity):
         ("tempo [s]", "riferimento [mm]", "posizione [mm]", "tensione [V]"),
         ("Tempo", "Posizione di riferimento [mm]", "Posizione misurata [mm]", "Tensione motore"),
         ("tiempo [s]", "referencia [mm]", "posición [mm]", "tensión [V]"),
+        ("Tempo (s)", "Posição desejada [mm]", "Posição [mm]", "Tensão"),
         ("Tiempo", "Posición de referencia [mm]", "Posicio\u0301n medida [mm]", "Tensión del motor"),
     ],
-    ids=["French", "French compounds", "Italian", "Italian compounds", "Spanish", "Spanish compounds"],
+    ids=["French", "French compounds", "Italian", "Italian compounds", "Spanish", "Portuguese", "Spanish compounds"],
 )
 def test_headings_in_french_italian_and_spanish_are_read(tmp_path, heads):
     reading = read_log(log(tmp_path, heads, T, 1e3 * R, 1e3 * Y, U))
@@ -76,6 +77,31 @@ def test_an_english_tension_is_no_command(tmp_path):
     heads = ("time [s]", "position [mm]", "setpoint [mm]", "tension")
     with pytest.raises(InputError, match="the gains are unknown and no column is known as the command"):
         read_log(log(tmp_path, heads, T, 1e3 * Y, 1e3 * R, 5 + Y))
+
+
+@pytest.mark.parametrize(
+    ("heading", "name", "unit"),
+    [
+        ("Position (Millimeter)", "Position", "mm"),
+        ("Position (millimètres)", "Position", "mm"),
+        ("Position [MM]", "Position", "mm"),
+        ("Weg (in mm)", "Weg", "mm"),
+        ("Position [mm] filtered", "Position filtered", "mm"),
+        ("Zeit (Millisekunden)", "Zeit", "ms"),
+        ("Time [mS]", "Time", "ms"),
+        ("Zeit [Sek.]", "Zeit", "s"),
+        ("Time [HH:MM:SS.fff]", "Time", None),
+        ("y[10] x", "y[10] x", None),
+        ("Supply [MV]", "Supply", "MV"),
+    ],
+)
+def test_units_are_read_as_people_write_them(heading, name, unit):
+    assert unit_behind(heading)[:2] == (name, unit)
+
+
+def test_a_unit_in_words_is_no_metre(tmp_path):
+    heads = ("t", "Weg in Millimetern", "Sollweg in Millimetern", "u")
+    check(read_log(log(tmp_path, heads, T, 1e3 * Y, 1e3 * R, U)).record)
 
 
 # ---- an error in the place of the reference
@@ -114,13 +140,26 @@ def test_an_error_of_which_the_unit_is_not_clear_is_a_question(tmp_path, heads, 
         read_log(log(tmp_path, heads, *columns))
 
 
+@pytest.mark.parametrize("kind", ["noise", "of the speed", "flag"])
+def test_an_error_that_is_another_one_makes_no_reference(tmp_path, kind):
+    other = {
+        "noise": 1e-3 * np.random.default_rng(1).standard_normal(T.size),
+        "of the speed": np.gradient(R - Y, T),
+        "flag": (np.abs(R - Y) > 0.02) * 1.0,
+    }[kind]
+    heads = ("time [s]", "error", "position [m]", "voltage [V]")
+    record = read_log(log(tmp_path, heads, T, other, Y, U)).record
+    assert record.reference is None
+    assert ("error_not_used" in [remark.code for remark in record.remarks]) == (kind != "flag")
+
+
 def test_an_error_that_does_not_go_with_the_motion_makes_no_reference(tmp_path):
     still = 1e-3 * np.random.default_rng(1).standard_normal(T.size)
     heads = ("time [s]", "error [m]", "position [m]", "voltage [V]")
     reading = read_log(log(tmp_path, heads, T, still, Y, U))
     assert reading.record.reference is None
     assert [remark.code for remark in reading.record.remarks] == ["error_not_used"]
-    with pytest.raises(InputError, match="'error' may be reference less position or the other way round"):
+    with pytest.raises(InputError, match="'error' may be reference less position, the other way round, or another"):
         read_log(log(tmp_path, heads[:3], T, still, Y), settings={"kp": "60 V/m", "kd": "4 V s/m"})
 
 

@@ -227,7 +227,8 @@ def referred(
     """Return the reference that the position and the logged error make where none is logged, and remarks.
 
     That the error is reference less position, and not the other way round, the motion tells: a loop drives its axis by
-    the error, so that error and speed correlate. Where they do not, no reference is made of it.
+    the error, so that error and speed correlate. And the position's noise is in its error, but not in the reference.
+    Where one of the two does not hold, no reference is made of it: it may be another error.
 
     Parameters
     ----------
@@ -252,18 +253,21 @@ def referred(
     found = _speed(position)
     if error is None or scale is None or found is None:
         return None, []
-    e, speed = error.column.values[found[1]], found[0][found[1]]
-    size = float(np.linalg.norm(e) * np.linalg.norm(speed))
-    work = float(e @ speed) / size if size > 0 else 0.0
-    if abs(work) < WORK:
-        return None, _of_unclear_sign(error, is_needed="voltage" not in chosen)
+    moved, speed = error.column.values[found[1]], found[0][found[1]]
+    size = float(np.linalg.norm(moved) * np.linalg.norm(speed))
+    work = float(moved @ speed) / size if size > 0 else 0.0
     sign, way = (1.0, "+") if work > 0 else (-1.0, "-")
+    y = scale * position.column.values
+    e = sign * error.column.values
+    gained = _roughness(e) - _roughness(y + e)  # all of the position's, or as much as chance has it
+    is_of_position = gained > 0.5 * _roughness(y)
+    if abs(work) < WORK or not is_of_position:
+        return None, _of_unclear_sign(error, is_needed="voltage" not in chosen)
     how = "go together" if work > 0 else "are opposed"
     evidence = f"no reference is logged; error and speed {how} (r = {abs(work):.2f})"
     source = f"{position.address} {way} {error.address}"
     origin = Guess(quantity="reference", source=source, value=own or "", evidence=evidence)
-    values = scale * position.column.values + sign * error.column.values
-    column = replace(error.column, name=source, values=values, unit=own, origin=origin)
+    column = replace(error.column, name=source, values=y + e, unit=own, origin=origin)
     return replace(error, column=column), []
 
 
@@ -277,10 +281,19 @@ def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequen
         and id(choice.column) not in taken
         and choice.column.values.size == size
         and travel_of(choice.column.values) > 0
+        and not (_is_whole(choice.column.values) and not _is_whole(position.column.values))  # a flag, a code
         and (choice.unit is None or allows("position", choice.unit))
     ]
     found = alike(near(found, position)) if found else []
     return found[0] if len(found) == 1 and found[0].table == position.table else None
+
+
+def _is_whole(values: Values) -> bool:
+    return bool(np.array_equal(values, np.round(values)))
+
+
+def _roughness(values: Values) -> float:
+    return float(np.sum(np.abs(np.diff(values, 2))))
 
 
 def _unit_of_error(error: Choice, unit: str | None, position: Choice) -> str | None:
@@ -314,8 +327,8 @@ def _per_error(position: Choice, error: Choice, unit: str | None, own: str | Non
 
 def _of_unclear_sign(error: Choice, *, is_needed: bool) -> list[Finding]:
     begin = (
-        f"the column {quote(error.address)} may be reference less position or the other way round, as it does not go"
-        " with the motion"
+        f"the column {quote(error.address)} may be reference less position, the other way round, or another error, as"
+        " it does not go with the motion"
     )
     if is_needed:
         raise InputError(f"{begin}, and neither reference nor voltage is logged; log the reference")

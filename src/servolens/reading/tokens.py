@@ -12,7 +12,7 @@ from servolens.reading.vocabulary import LETTERS, MOTOR_VOLTAGES, PLACES, UNITS,
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["CLASS", "agree", "tokens_of"]
+__all__ = ["CLASS", "agree", "tokens_of", "without_accents"]
 
 CLASS = {word: kind for kind, words in WORDS.items() for word in words.split()}
 """Kind of each word that is known."""
@@ -31,7 +31,7 @@ def tokens_of(name: str) -> tuple[str, ...]:
     """
     found: list[str] = []
     for part in _ACRONYM.findall(
-        _without_accents(name)
+        without_accents(name)
         .replace("Δ", "delta ")
         .replace("%", " percent ")
         .replace("θ", "theta ")
@@ -50,7 +50,7 @@ def tokens_of(name: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _without_accents(name: str) -> str:
+def without_accents(name: str) -> str:
     """Return a name with plain letters in the place of those with accents; German ones stay."""
     if name.isascii():
         return name

@@ -37,8 +37,8 @@ WORDS: Mapping[str, str] = {
     ),
     "position": (
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
-        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos posizione posicion "
-        "deplacement spostamento desplazamiento"
+        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos "
+        "posizione posicion posicao deplacement spostamento desplazamiento"
     ),
     "angle": (
         "angle angles angular ang rotary rotational winkel rotation drehwinkel heading azimuth azimut elevation pitch "
@@ -46,10 +46,10 @@ WORDS: Mapping[str, str] = {
     ),
     "velocity": (
         "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
-        "xdot dot dq tacho gyro gyroscope vitesse velocita velocidad"
+        "xdot dot dq tacho gyro gyroscope vitesse velocita velocidad velocidade"
     ),
     "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell voltaje",
-    "tension": "tension tensione",
+    "tension": "tension tensione tensao",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
     "current": "strom amps ampere iq courant corrente corriente",
     "torque": "torque trq tau moment momenten drehmoment drehmomenten effort couple coppia",
@@ -63,7 +63,7 @@ WORDS: Mapping[str, str] = {
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
         "leitwert set action rpos traj plan planned planner consigne riferimento referencia consigna desiderata "
-        "desiderato deseada deseado"
+        "desiderato deseada deseado desiree desejada"
     ),
     "actual": (
         "actual act pv ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
@@ -98,10 +98,11 @@ WORDS: Mapping[str, str] = {
     ),
 }
 _ROMANCE = (
-    "temps tiempo horodatage posizione posicion deplacement spostamento desplazamiento angolo angulo "
-    "vitesse velocita velocidad tensione voltaje courant corrente corriente coppia forza fuerza commande "
-    "comando mando consigne riferimento referencia consigna desiderata desiderato deseada deseado mesure "
-    "mesuree misura misurata misurato medida medido erreur ecart errore moteur motore "
+    "temps tiempo horodatage posizione posicion posicao tensao velocidade desiree desejada deplacement "
+    "spostamento desplazamiento angolo angulo vitesse velocita velocidad tensione voltaje courant "
+    "corrente corriente coppia forza fuerza commande comando mando consigne riferimento referencia "
+    "consigna desiderata desiderato deseada deseado mesure mesuree misura misurata misurato medida medido "
+    "erreur ecart errore moteur motore "
 )
 ROMANCE = frozenset(_ROMANCE.split())
 """Words that tell French, Italian and Spanish: beside one "tension" is a voltage, not a pull, and "tempo" a time."""
@@ -210,7 +211,18 @@ IMPLIED = {
 ASSUMED = {"current": "A", "torque": "N m", "force": "N"}
 UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s",
-    "secondes": "s", "secondi": "s", "segundos": "s", "ms": "ms", "msec": "ms",
+    "secondes": "s", "secondi": "s", "segundos": "s",
+    **dict.fromkeys(("millisecond", "milliseconds", "millisekunden", "millisecondes", "millisecondi"), "ms"),
+    **dict.fromkeys(("milisegundos", "milliseconden"), "ms"),
+    **dict.fromkeys(("microseconds", "mikrosekunden", "microsecondes"), "us"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetern", "millimetre", "millimetres", "millimetri"), "mm"),
+    **dict.fromkeys(("milimetros", "milimetro", "millimetro"), "mm"),
+    **dict.fromkeys(("micrometer", "micrometers", "micrometre", "micrometres", "mikrometer"), "um"),
+    **dict.fromkeys(("micron", "microns"), "um"),
+    **dict.fromkeys(("centimeter", "centimeters", "centimetre", "centimetres", "zentimeter"), "cm"),
+    **dict.fromkeys(("metre", "metres", "metern", "metri", "metros"), "m"),
+    **dict.fromkeys(("degres", "gradi", "grados"), "deg"), **dict.fromkeys(("tours", "giri", "vueltas"), "rev"),
+    **dict.fromkeys(("radian", "radians", "radiant"), "rad"), "ms": "ms", "msec": "ms",
     "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
     "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
     "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "rotations": "rev",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, final
 
-from servolens.reading.tokens import CLASS, agree, tokens_of
+from servolens.reading.tokens import CLASS, agree, tokens_of, without_accents
 from servolens.reading.vocabulary import (
     AMOUNTS,
     ANGLES,
@@ -72,6 +72,10 @@ _CONVENTIONS = (
 _COMMANDS = ("voltage", "feedforward")
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
+_WITHIN = re.compile(r"([^\[\]]*)\[([^\[\]]{2,})\]([ _].*)", re.DOTALL)
+"""A unit with words behind it: ``Position [mm] filtered``; a single letter there may be an index."""
+_CLOCK = re.compile(r"h{1,2}:m{1,2}(:s{1,2})?([.,:]\w+)?", re.IGNORECASE)
+"""What stands in the place of a unit above time stamps."""
 _SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
 LONGEST_NAME = 1000
 """Letters up to which a heading is looked at, so that no text can keep the reader busy; paths of variables have some
@@ -206,8 +210,11 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
         inner = match[3].strip()
         known = _known(inner)
         if match[2] == "[" or known:
-            stated = None if inner in ("", "-") else inner
+            stated = None if inner in ("", "-") or _CLOCK.fullmatch(inner) else inner
             return match[1].strip(), known or stated, "in brackets"
+    match = _WITHIN.fullmatch(text)
+    if match and match[1].strip() and (unit := _known(match[2])) and _is_of_signals(unit) and not unit.isdecimal():
+        return f"{match[1].strip()}{match[3]}", unit, "in brackets"
     match = _SLASH.fullmatch(text)
     if match and (unit := _known(match[2])) and (len(unit) > 1 or _is_of_signals(unit)):
         return match[1].strip(), unit, "behind its name"
@@ -225,10 +232,14 @@ def _is_of_signals(unit: str) -> bool:
 
 
 def _known(text: str) -> str | None:
+    """Return the unit that a text in brackets, or behind a name, means: as pint has it, or as people write it."""
     text = text.strip()
     if text in ("", "-"):
         return None
-    return text if parse_unit(text) else UNITS.get(text.lower())
+    spoken = without_accents(text.lower()).rstrip(".").removeprefix("in ").strip()
+    if parse_unit(text):
+        return text if _is_of_signals(text) else UNITS.get(spoken, text)
+    return UNITS.get(spoken)
 
 
 def _of_language(tokens: tuple[str, ...], unit: str | None, *, romance: bool) -> tuple[str, ...]:
@@ -242,7 +253,7 @@ def _of_language(tokens: tuple[str, ...], unit: str | None, *, romance: bool) ->
     is_volts = is_plain and (stated.dimension == volt.dimension if stated and volt else romance)
     is_time = allows("time", unit or "") if unit else romance
     words = {"tempo": "time" if is_time else "tempo"}
-    words |= dict.fromkeys(("tension", "tensione"), "voltage" if is_volts else "tension")
+    words |= dict.fromkeys(("tension", "tensione", "tensao"), "voltage" if is_volts else "tension")
     return tuple(words.get(token, token) for token in tokens)
 
 
