@@ -419,6 +419,18 @@ USAGE = {
     "missing file": (["check", "nowhere.csv"], "nowhere.csv: "),
     "missing model": (["predict", "nowhere.json", "r.csv"], "nowhere.json: "),
     "bad number": (["design", "m.json", "--kp", "ten", "--settling-time", "1"], "'ten' is not a finite number"),
+    "decimal comma": (
+        ["tune", "kp60.csv", "--settling-time", "0,5"],
+        "'0,5' is not a finite number; write it with a point and without a unit, in that of the help",
+    ),
+    "number with a unit": (
+        ["tune", "kp60.csv", "--settling-time", "500ms"],
+        "'500ms' is not a finite number; write it with a point and without a unit, in that of the help",
+    ),
+    "unit without its signal": (
+        ["check", "kp60.csv", "--unit", "mm"],
+        "'mm' is not SIGNAL=NAME or SIGNAL=UNIT, e.g. position=qm or position=mm",
+    ),
     "nan": (["design", "m.json", "--kp", "nan", "--settling-time", "1"], "'nan' is not a finite number"),
     "missing option": (["design", "m.json", "--kp", "1"], "missing option '--settling-time'"),
     "negative gain": (["design", "m.json", "--kp", "-1", "--settling-time", "1"], "kp must be positive"),
@@ -520,6 +532,12 @@ def test_no_number_is_cut_however_narrow_the_screen(bench, monkeypatch, width):
     gain = body["models"]["velocity"]["gain"]
     assert f"{gain['value']:.5f}"[:6] in text
     assert "m/s²/V" in text
+
+
+def test_the_list_of_commands_is_whole_on_a_terminal_of_80_columns():
+    told = CliRunner().invoke(group, ["--help"], terminal_width=80).stdout.partition("Commands:")[2]
+    assert all(f"  {command.name} " in told for command in COMMANDS)
+    assert "..." not in told
 
 
 def test_alone_it_prints_its_help():

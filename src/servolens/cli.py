@@ -55,9 +55,9 @@ class _Commands(click.Group):
 def group() -> None:
     """From one measured step to a PD gain you can trust.
 
-    RECORD is a CSV file, a folder of them, or a campaign TOML. Results go to standard output, or as JSON to the file
-    of --json; messages go to standard error. Exit status: 0 done, 1 the answer is no, 2 unusable input, 3 a numerical
-    failure.
+    RECORD is a log (CSV, Excel, MAT and others), a folder of logs, or a campaign TOML. Results go to standard output,
+    or as JSON to the file of --json; messages go to standard error. Exit status: 0 done, 1 the answer is no, 2 unusable
+    input, 3 a numerical failure.
     """
 
 

@@ -51,7 +51,7 @@ def design(
     force: bool,
     json_file: str | None,
 ) -> int:
-    """Find the derivative gain to use, and the least one, that settle in time.
+    """Find the derivative gain to use, and the least one.
 
     With several models the gains hold for all of them. Exit status 1 if no gain meets the specification, or if the
     gain is withheld: the model is known to be wrong, hardly a plant like it would meet the specification, or the step

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass
 from functools import wraps
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import click
 
-from servolens.commands.parsing import Documented, Paths, named
+from servolens.commands.parsing import Documented, Paths, finite, named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -68,17 +67,6 @@ WISHES = (
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
 
-def finite(value: Any) -> float:
-    """Convert an option to a finite number."""
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise click.BadParameter(f"{str(value)[:40]!r} is not a finite number")
-    return number
-
-
 def _prior(value: str) -> tuple[str, float, float]:
     """Convert ``parameter=mean,deviation``."""
     name, mark, numbers = value.partition("=")
@@ -98,7 +86,7 @@ def _mapped(value: str) -> tuple[str, str]:
     """Convert ``signal=text``."""
     signal, mark, text = (part.strip() for part in value.partition("="))
     if not mark or not text:
-        raise click.BadParameter(f"{value[:40]!r} is not SIGNAL=NAME, e.g. position=qm")
+        raise click.BadParameter(f"{value[:40]!r} is not SIGNAL=NAME or SIGNAL=UNIT, e.g. position=qm or position=mm")
     if signal not in SIGNALS:
         raise click.BadParameter(f"{signal[:40]!r} is no signal; known are {', '.join(SIGNALS)}")
     return signal, text
@@ -238,14 +226,14 @@ def specification(
         _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
         _number("--kd-max", "End of the search, which begins at 0.  [default: from the plant]"),
         _choice("--control", ["sampled", "continuous"], "A digital loop, or an ideal PD.  [default: sampled]"),
-        _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
-        _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
+        _number("--sample-time", f"Sample time of the digital loop [s].  [default: {records}0.001]"),
+        _number("--derivative-filter", f"Filter of its derivative, up to 1, which is none.  [default: {records}1]"),
         _choice(
             "--derivative",
             ["position", "velocity"],
-            f"Differences of it, or a velocity signal.  [default: {records}position]",
+            f"Differences of the position, or a velocity signal.  [default: {records}position]",
         ),
-        _number("--derivative-window", f"Samples over which it is a difference.  [default: {records}1]"),
+        _number("--derivative-window", f"Samples that such a difference spans.  [default: {records}1]"),
         *_law(records),
         _number("--peak-sensitivity", "Largest peak of the sensitivity, Ms, of the linearised loop."),
         _number("--peak-complementary", "Largest peak of the complementary sensitivity, Mt, of the linearised loop."),
@@ -310,7 +298,7 @@ def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
     """Return the options of other loops than PD; `records` tells where what is not given comes from."""
     return (
         _number("--ki", f"Integral gain of a PID [V/(m s)].  [default: {records}0]"),
-        _number("--setpoint-weight", f"Share of the reference in its proportional part.  [default: {records}1]"),
+        _number("--setpoint-weight", f"Share of the reference in the proportional part.  [default: {records}1]"),
         click.option(
             "--cascade",
             "controller",

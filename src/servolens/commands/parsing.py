@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from typing import TYPE_CHECKING, Any, final
 
 import click
@@ -9,7 +11,29 @@ import click
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Documented", "Paths", "named"]
+__all__ = ["Documented", "Paths", "finite", "named"]
+
+
+_AMOUNT = re.compile(r"[+-]?\d+([.,]\d+)?(.*)")
+
+
+def finite(value: Any) -> float:
+    """Convert an option to a finite number.
+
+    Raises
+    ------
+    click.BadParameter
+        If it is none; with what to write where it has a decimal comma or a unit.
+    """
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        found = _AMOUNT.fullmatch(str(value).strip())
+        remedy = "; write it with a point and without a unit, in that of the help" if found else ""
+        raise click.BadParameter(f"{str(value)[:40]!r} is not a finite number{remedy}")
+    return number
 
 
 @final

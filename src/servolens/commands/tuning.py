@@ -51,7 +51,7 @@ def tune(  # noqa: PLR0913 - a command's options
     force: bool,
     json_file: str | None,
 ) -> int:
-    """Go from measured records to a gain, and tell how far it can be trusted.
+    """Go from records to a gain, and tell how far it can be trusted.
 
     Checks the records, identifies the axis, finds what gain and damping lack, and designs on the model that the data
     support best: the gain to use and the least one, with a light each for data, model and gain. Without --kp,
@@ -100,10 +100,10 @@ def compare(
     effort: str,
     json_file: str | None,
 ) -> int:
-    """Compare the gains that a linear, a speed-dependent and the diagnosed model recommend.
+    """Compare the gains of the linear and the diagnosed model.
 
-    The models come from the records; all gains are run on the one that the data support best. Exit status 1 if no
-    gain meets the specification there, or if it is withheld as in `servolens tune`.
+    These and one whose damping depends on speed come from the records; all gains are run on the model that the data
+    support best. Exit status 1 if no gain meets the specification there, or if it is withheld as in `servolens tune`.
     """
     found = _studied(recordings, spec, {"--json": json_file}, priors=priors, effort=effort)
     if json_file:
