@@ -65,14 +65,19 @@ def test_rounding_at_rest_is_one_error_all_along():
     assert np.ptp(drawn[0, rests]) > 0.0
 
 
-def quick_noise_of(speed, share):
-    """Return the sizes of the quick noise in draws of a steady motion, both in steps of the encoder a sample."""
+def quick_noise_of(speed, share, ripple=0.0):
+    """Return the sizes of the quick noise in draws of a steady motion, both in steps of the encoder a sample.
+
+    Beside a `ripple` of 50 Hz, in steps.
+    """
     begun, noise = 0.3 * STEP, share * np.random.default_rng(3).standard_normal(TIME.size)
+    noise += ripple * np.sin(2.0 * np.pi * 50.0 * TIME + 1.0)
     shown = STEP * np.round((begun + speed * STEP * np.arange(TIME.size)) / STEP + noise)
     velocity = speed * STEP / TIME[1]
     voltage = np.full(TIME.size, AXIS.damping * velocity / AXIS.gain)
     record = Record(time=TIME, position=shown, voltage=voltage, encoder_resolution=STEP)
-    run = ObservedRun(Signals.of(record, STEP, AXIS, 10.0), 0, NoiseModel.white(0.0, STEP))
+    lines = (50.0,) if ripple else ()
+    run = ObservedRun(Signals.of(record, STEP, AXIS, 10.0), 0, replace(NoiseModel.white(0.0, STEP), lines=lines))
     return np.sqrt(own_spectra([run], [AXIS], [np.array([begun, velocity])]).min(axis=1)) / STEP
 
 
@@ -90,6 +95,11 @@ def test_where_no_noise_is_seen_there_may_be_as_much_as_would_not_show(speed, mo
     found = quick_noise_of(speed, 0.0)
     assert found.min() == 0.0
     assert found.max() <= most
+
+
+@pytest.mark.parametrize("share", [0.03, 0.1])
+def test_quick_noise_is_told_from_a_ripple_of_the_mains_below_the_step(share):
+    assert np.median(quick_noise_of(0.0173, share, ripple=0.2)) == pytest.approx(share, rel=0.25)
 
 
 def test_rounding_of_a_fast_motion_is_white():

@@ -321,8 +321,8 @@ class Whitener:
         for k in range(begun):  # the first samples have no past as long as the filter
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
-        lines = visible(time, noise.lines) if time is not None else ()
-        self._waves = waves_at(time, lines) if time is not None and lines else None
+        self._lines = visible(time, noise.lines) if time is not None else ()
+        self._waves = waves_at(time, self._lines) if time is not None and self._lines else None
         self._basis = None if self._waves is None else _spanned(self._filtered(self._waves))
 
     def beside(self, noise: NoiseModel) -> Whitener:
@@ -336,6 +336,12 @@ class Whitener:
     def steady(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a `residual`, shape (n,), without waves of the mains."""
         return residual if self._waves is None else residual - self._waves @ waves_in(residual, self._waves)
+
+    def ripple(self, residual: NDArray[np.float64], time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the waves of the mains in a `residual`, shape (n,), at any `time` [s], shape (m,)."""
+        if self._waves is None:
+            return np.zeros(time.size)
+        return np.asarray(waves_at(time, self._lines) @ waves_in(residual, self._waves))
 
     def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), each by its weight."""

@@ -241,7 +241,7 @@ def own_spectra(
         chance, power, stream = 0.0, np.zeros(shown.size), np.random.default_rng(1)
         for run, plant, start, position in of_runs:
             drawn = [*_drawn(run, (plant, start), position, own, stream, draws)]
-            power += sum(_power(one.error) for one in drawn) / samples / draws
+            power += sum(_power(one.whiten.steady(one.error)) for one in drawn) / samples / draws
             seen = _quickness(run.whiten.position, position - run.whiten.position, step)
             chance += _chance(seen, np.array([_quickness(one.whiten.position, one.error, step) for one in drawn]))
         return chance, power
@@ -319,7 +319,9 @@ def _drawn(
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
     (plant, start), closed = begun, record.has_loop
     own_start = beginning_of(run, start)
-    own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
+    instants = record.time if closed else run.instants
+    ripple = run.whiten.ripple(run.whiten.position - position, instants)
+    own = ripple[:, None] + drawn_noise(spectrum, instants.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
     def one(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[NDArray[np.float64], ...] | None]:
