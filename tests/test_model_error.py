@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from servolens import lab
+from servolens.controller import Controller
 from servolens.design import PDSpec, recommend, trust, tune
 from servolens.design.settle import closed_loop_gain
 from servolens.errors import NumericalError
@@ -139,6 +140,15 @@ def test_a_loop_is_judged_by_how_much_more_than_known_it_may_amplify_the_error(s
     error = ModelError(frequency=(frequency,), size=(asked / loop,), loop=(loop * shown / asked,))
     model = Model(plant=MODEL, evidence=Evidence(range=data_range(records), model_error=error))
     assert trust(model, chosen)[1].light == light
+
+
+def test_a_loop_slower_than_its_log_is_judged_by_what_it_can_see():
+    """Above half its own frequency its command only repeats itself: 5 ms is 200 Hz, at which the loop does not act."""
+    setup = lab.Setup(controller=Controller(kp=60.0, kd=1.0, control_period=5e-3), rest=0.2)
+    records = [lab.step_record(lab.Truth(gain=GAIN, damping=DAMPING), noise=2e-5, seed=2, setup=setup)]
+    model = known(records)
+    assert max(model.evidence.model_error.frequency) < 0.5 / 5e-3
+    assert gain_light(model, PDSpec(kp=60.0, settling_time=0.6, sample_time=5e-3)).light == "green"
 
 
 def test_a_loop_far_faster_than_what_the_noise_lets_one_see_is_not_green():

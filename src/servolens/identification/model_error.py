@@ -6,6 +6,9 @@ e·g = Δ·u_measured·y + noise, at each frequency, for all records of the axis
 frequency with u·y of the model as instrument, for a measured command carries the noise of its own loop (Ljung, *System
 Identification*, 2nd ed., sections 13.5 and 16.5; model error models: Ljung, 1999).
 
+A loop slower than its log sees the axis at its own ticks alone, and so does this: between them a command repeats the
+spectrum that it has below half the loop's frequency, which says nothing of what the loop makes of an error there.
+
 Of a record that begins with its step less is seen: its first command counts as applied before, and
 so as no change to which the axis could answer otherwise.
 
@@ -18,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.control_arithmetic import samples_a_tick
 from servolens.control_law import controller_voltage
 from servolens.errors import ServolensError
 from servolens.model_evidence import ModelError
@@ -89,15 +93,16 @@ def _spectra(plant: Plant, record: Record) -> Spectra | None:
         return None
     shown = run.shown(plant)
     left = record.position - shown
-    moved, error = _transform(shown - shown[0]), _transform(left - left[0])
-    pull, answer, given = _transform(drive), _transform(asked), _transform(run.voltage)
-    frequencies = np.fft.rfftfreq(len(record), record.sample_time)
+    count = samples_a_tick(record.controller, record.sample_time)
+    signals = (shown - shown[0], left - left[0], drive, asked, run.voltage)
+    moved, error, pull, answer, given = (_transform(signal[::count]) for signal in signals)
+    frequencies = np.fft.rfftfreq(-(-len(record) // count), count * record.sample_time)
     size = np.sqrt(np.mean(np.abs(pull * moved) ** 2))
     if size == 0.0:
         return None  # what the model says does not move has no error relative to that
     weight = 1.0 / size
-    signals = (error * pull * weight, answer * moved * weight, given * moved * weight, pull, pull - given)
-    return tuple(signal[1:].astype(np.complex128) for signal in (frequencies, *signals))
+    found = (error * pull * weight, answer * moved * weight, given * moved * weight, pull, pull - given)
+    return tuple(values[1:].astype(np.complex128) for values in (frequencies, *found))
 
 
 def _still(record: Record) -> NDArray[np.float64] | None:
