@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import control as ct
@@ -297,6 +298,15 @@ def test_a_spec_that_only_hunting_gains_meet_says_so():
     assert not design.feasible
     assert design.conflict == ("hunting",)
     assert "hunts from some starts" in design.reason
+    assert re.search(r" by ±[\d.]+ [mµ]m\); choose less integral action, or admit hunting$", design.reason)
+
+
+def test_a_loop_without_an_integral_that_hunts_is_not_told_to_integrate_less():
+    """With half of the mass behind a play the loop hunts in it, whatever the derivative gain."""
+    plant = Plant(gain=2.0, damping=12.0, effects=(Backlash(gap=1e-3, load_share=0.5),))
+    design = tune(plant, PDSpec(kp=80, settling_time=0.4, band=0.02, kd_max=8, hunting=False))
+    assert design.conflict == ("hunting",)
+    assert re.search(r" by ±[\d.]+ [mµ]m\); choose a smaller kp, or admit hunting$", design.reason)
 
 
 def test_a_gain_that_hunts_has_no_green_light():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from servolens.design.cover import Cover, last_gain
@@ -18,6 +19,7 @@ from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
 from servolens.design.spec import PDSpec
 from servolens.errors import InputError, as_progress, flags, needed
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +100,7 @@ def tune(
     design = Design(plants=models, spec=spec, kd=None, intervals=intervals, certificate=certificate)
     if kept and not intervals:
         worst = hunting(models, spec, kept[0][0])
-        design = replace(design, reason=_all_hunt(kept, spec, worst), conflict=("hunting",))
+        design = replace(design, reason=_all_hunt(kept, spec, worst, models[0].length_unit), conflict=("hunting",))
     elif settling and not intervals:
         reason, conflict, nearest = none_keeps(models, spec, settling)
         design = replace(design, reason=reason, conflict=conflict, nearest=nearest)
@@ -131,12 +133,14 @@ def _unsearched(models: tuple[Plant, ...], spec: PDSpec, reason: str) -> Design:
     return Design(plants=models, spec=spec, kd=None, intervals=(), certificate=certificate, reason=reason)
 
 
-def _all_hunt(settling: Sequence[tuple[float, float]], spec: PDSpec, worst: Hunting | None) -> str:
+def _all_hunt(settling: Sequence[tuple[float, float]], spec: PDSpec, worst: Hunting | None, unit: str) -> str:
     low, high = settling[0][0], settling[-1][1]
-    size = "" if worst is None else f" (with {spec.free} = {low:.4g} by ±{worst.amplitude:.3g})"
+    found = worst is not None and isfinite(worst.amplitude)
+    size = f" (with {spec.free} = {low:.4g} by ±{readable(worst.amplitude, unit)})" if worst and found else ""
+    less = "less integral action" if spec.ki or spec.kiv else "a smaller kp"
     return (
         f"every {spec.free} that meets the spec otherwise, {low:.4g} to {high:.4g}, hunts from some starts{size};"
-        " choose less integral action, or admit hunting"
+        f" choose {less}, or admit hunting"
     )
 
 
