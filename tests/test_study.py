@@ -462,6 +462,23 @@ def test_kp_that_no_record_states_must_be_given(cart):
     assert suggested_spec([blind], cart.model.plant) is None
 
 
+@pytest.mark.parametrize(
+    ("kp", "told"),
+    [
+        (
+            -60.0,
+            "but runs states kp = -60; if the axis moves against its voltage, change the signs of voltage, kp and kd",
+        ),
+        (0.0, "the records state kp = 0, with which a loop follows no step; give the one to design for"),
+    ],
+    ids=["negative", "zero"],
+)
+def test_stated_kp_that_no_gain_is_designed_for_is_not_called_unstated(cart, kp, told):
+    run = replace(cart.records[0], controller=Controller(kp=kp), name="runs")
+    with pytest.raises(InputError, match=told):
+        completed_spec([run], {"settling_time": 0.5})
+
+
 def test_step_of_a_spec_is_the_largest_that_a_staircase_makes():
     stairs = lab.step_record(lab.LM1, 60, reference=(0.06, 0.1, 0.04, -0.02), duration=1.0)
     assert completed_spec([stairs], {"settling_time": 0.5}).reference == pytest.approx(0.06)

@@ -64,12 +64,7 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     """
     record = _shown(records, given)
     if record is None and "kp" not in given:
-        names = ", ".join(record.name for record in records[:3]) + (" and others" if len(records) > 3 else "")
-        lacking = "no kp" if all(one.controller is None for one in records) else "no kp above zero"
-        raise InputError(
-            f"{names}: the records state {lacking}; give the one to design for (on the command line --kp), or that of"
-            " the loop that made them (--record-kp)"
-        )
+        raise InputError(_no_kp(records))
     known = {} if record is None else _loop_of(record)
     plain: dict[str, Any] = {name: value for name, value in known.items() if name in SAMPLING}
     if "controller" in given and given["controller"] != known.get("controller", "pd"):
@@ -154,6 +149,22 @@ def _shown(records: Sequence[Record], given: Mapping[str, Any]) -> Record | None
     first = next((record.inertia for record in records if record.inertia is not None), None)
     alike = [record for record in loops if record.inertia in (None, first)]  # a model is for the first one's inertia
     return max(alike or loops, key=rank, default=None)
+
+
+def _no_kp(records: Sequence[Record]) -> str:
+    """Return why none of the records says for which kp to design, and what to do."""
+    names = ", ".join(record.name for record in records[:3]) + (" and others" if len(records) > 3 else "")
+    asked = "give the one to design for (on the command line --kp)"
+    stated = [(record.controller.kp, record.name) for record in records if record.controller is not None]
+    if not stated:
+        return f"{names}: the records state no kp; {asked}, or that of the loop that made them (--record-kp)"
+    kp, name = min(stated)
+    if kp == 0.0:
+        return f"{names}: the records state kp = 0, with which a loop follows no step; {asked}"
+    return (
+        f"{names}: a gain is designed for a positive kp, but {name} states kp = {kp:g}; if the axis moves against its"
+        " voltage, change the signs of voltage, kp and kd in the log"
+    )
 
 
 def _loop_of(record: Record) -> dict[str, Any]:
