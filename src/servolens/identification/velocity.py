@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.effects import VelocityDecayDamping
+from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.damping_law import SHAPE, SIZE, fit_law
 from servolens.identification.explained import Explained, excerpt_of, explained
@@ -114,10 +116,11 @@ def _by_likelihood(start: Plant, segments: Sequence[Segment], options: FitOption
 
 def _optimum(left: Explained, start: Plant, segments: Sequence[Segment], options: FitOptions) -> Refinement:
     """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
-    if left.hypothesis is None and left.loop is None:
-        runs = [VoltageRun(segment, 0) for segment in segments]
-        return minimise_error(start, runs, options.holding(SHAPE), noise=max(s.noise for s in segments))
-    return left.optimum(records_of(segments))
+    if left.hypothesis is not None or left.loop is not None:
+        with suppress(NumericalError):
+            return left.optimum(records_of(segments))
+    runs = [VoltageRun(segment, 0) for segment in segments]
+    return minimise_error(start, runs, options.holding(SHAPE), noise=max(s.noise for s in segments))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
