@@ -18,7 +18,7 @@ from servolens.design import PDSpec, tune
 from servolens.diagnosis import diagnose
 from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
-from servolens.identification import Prior, identify
+from servolens.identification import Prior, identify, velocity
 from servolens.identification.explained import Explained
 from servolens.identification.integral import Pieces, assemble, solve_integral
 from servolens.identification.later import Later
@@ -350,6 +350,22 @@ def test_a_law_that_cannot_be_simulated_on_whole_records_is_fitted_to_stretches(
     gain = identify(record).velocity.plant.gain
     monkeypatch.setattr(Explained, "optimum", unstable)
     assert identify(record).velocity.plant.gain == pytest.approx(gain, rel=0.01)
+
+
+def test_a_start_whose_loop_is_unstable_leaves_the_others(monkeypatch) -> None:
+    begun = []
+
+    def first_unstable(start: Plant, runs: list[object], *args: object, **options: object) -> object:
+        begun.append(start)
+        if len(begun) == 1:
+            raise NumericalError("the plant to start from cannot be simulated on these records: its loop is unstable")
+        return minimise_error(start, runs, *args, **options)  # type: ignore[arg-type]  # passed on
+
+    dry = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    monkeypatch.setattr(velocity, "minimise_error", first_unstable)
+    model = identify(step_record(dry, kp=60, noise=1e-5, seed=1)).velocity
+    assert len(begun) > 1
+    assert model.plant.gain == pytest.approx(1.9, rel=0.1)
 
 
 def test_a_prior_on_the_velocity_model_adds_its_information_once() -> None:

@@ -139,7 +139,8 @@ def _in_closed_loop(
 ) -> Refinement | None:
     """Fit the law to whole steps in closed loop, from where it errs least.
 
-    Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does. Nor
+    Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does, or its
+    loop is unstable. Nor
     does its damping at rest become faster than that: no sample would show it.
     """
     noise = max(s.noise for s in segments)
@@ -152,7 +153,10 @@ def _in_closed_loop(
     if SIZE not in {*options.held, *options.bounds}:
         options = replace(options, bounds={**options.bounds, SIZE: (0.0, rate_within(most, step))})
     runs = [ClosedRun(one, 0) for record in records for one in settled_steps(record)]
-    found = [minimise_error(trial, runs, options, noise=noise) for trial in slow]
+    found = []
+    for trial in slow:
+        with suppress(NumericalError):  # another start may be a loop that is stable
+            found.append(minimise_error(trial, runs, options, noise=noise))
     return min(found, key=lambda refined: refined.rms_error, default=None)
 
 
