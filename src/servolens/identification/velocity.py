@@ -140,8 +140,7 @@ def _in_closed_loop(
     """Fit the law to whole steps in closed loop, from where it errs least.
 
     Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does, or its
-    loop is unstable. Nor
-    does its damping at rest become faster than that: no sample would show it.
+    loop is unstable. Nor does its damping at rest become faster than that: no sample would show it.
     """
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
