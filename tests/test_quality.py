@@ -15,7 +15,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from servolens import identify, lab
+from servolens import Plant, fit, identify, lab, predict
 from servolens.checking import check
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step, white_noise
@@ -414,10 +414,26 @@ def test_single_samples_that_stick_out_are_the_sensors(height, encoder):
     assert finding.code == "position_spikes"
     assert " at 0.04 s for one sample and is back (3 such samples)" in finding.message
     assert float(re.search(r"leaps by ([\d.]+) m", finding.message)[1]) == pytest.approx(abs(height), rel=0.1)
-    assert "identify and predict take them as they are" in finding.message
+    assert "fits, predictions and diagnoses interpolate such samples" in finding.message
     assert np.abs(without_spikes(spiked).position - record.position).max() < 1e-4
     wrong = spiked.with_({"controller": replace(record.controller, kp=70.0)})
     assert {"position_spikes", "gains_contradict_log"} <= set(codes(wrong))
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        lambda record: identify(record, model="constant").constant.plant.gain,
+        lambda record: fit("coulomb_friction", record).plant.gain,
+        lambda record: predict(Plant(gain=1.8, damping=5.5), record).errors[0][0].rms_error,
+    ],
+    ids=["identify", "fit", "predict"],
+)
+def test_samples_that_stick_out_change_neither_fits_nor_errors(number):
+    record = lab.step_record(lab.LM1, 60, noise=1e-5, seed=4)
+    position = record.position.copy()
+    position[[200, 500, 900]] += (0.02, -0.02, 0.02)
+    assert number(record.with_({"position": position})) == pytest.approx(number(record), rel=1e-4)
 
 
 def test_what_sticks_out_by_less_than_the_axis_moves_is_told_by_the_law():

@@ -14,6 +14,7 @@ from servolens.decoding import read_fields
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_model, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion, possible_motion
+from servolens.quality.spikes import without_spikes
 from servolens.result import Result, late
 from servolens.simulation import simulate
 
@@ -94,7 +95,8 @@ class Prediction(Result):
     errors : tuple of tuple of RecordError
         ``errors[i][j]``: record i, model j.
     records : tuple of Record
-        What was simulated; none where the errors were read from a file.
+        What was simulated, without single samples of the position that stick out; none where the errors were read from
+        a file.
     plants : tuple of Plant
         Of the models.
     positions : tuple of tuple of ndarray, shape (n,)
@@ -410,7 +412,7 @@ def predict(
     """
     known = _named(models)
     plants = {name: model.plant for name, model in known.items()}
-    runs = as_records(records, settings)
+    runs = tuple(map(without_spikes, as_records(records, settings)))
     for plant, record in product(plants.values(), runs):
         check_units(plant, record)
     missed = [[prediction_residual(plant, record) for plant in plants.values()] for record in runs]

@@ -30,8 +30,7 @@ from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.plant import FREE_DAMPING
 from servolens.processors import single_threaded_blas
-from servolens.quality.spikes import without_spikes
-from servolens.rounded_voltage import with_exact_voltage
+from servolens.quality.spikes import mended
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -105,7 +104,7 @@ def diagnose(
     check_request(runs, others, known, effort)
     given = (*runs, *others)
     findings = log_findings(given)
-    runs, others = (tuple(with_exact_voltage(without_spikes(run)) for run in group) for group in (runs, others))
+    runs, others = (tuple(map(mended, group)) for group in (runs, others))
     try:
         tell = _never_back(progress)
         decision = decided_beside_loop(runs, others, known, len(catalogue()), EFFORT[effort], tell)

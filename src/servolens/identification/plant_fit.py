@@ -25,8 +25,8 @@ from servolens.inputs import as_effects, as_plant, as_records, check_units, is_m
 from servolens.model import Model, placed
 from servolens.plant import FREE_DAMPING, Plant
 from servolens.processors import single_threaded_blas
+from servolens.quality.spikes import mended
 from servolens.result import Result
-from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -222,7 +222,7 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     """
     asked = wanted(fixed, bounds, priors, driven=driven, local=local, loss=loss, compared=compared, begin=begin)
     effects, start = _given(plant)
-    runs = tuple(map(with_exact_voltage, as_records(records, settings)))
+    runs = tuple(map(mended, as_records(records, settings)))
     screen = Screen.of(moving_parts(motion_segments(runs)))
     bare, _ = screen.solve(())
     start = _guessed(effects, bare, screen, asked) if start is None else _as_records_tell(start, bare)

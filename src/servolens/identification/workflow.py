@@ -28,8 +28,8 @@ from servolens.model_evidence import Evidence
 from servolens.plant import FREE_DAMPING, Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
 from servolens.processors import single_threaded_blas
+from servolens.quality.spikes import mended
 from servolens.result import Result
-from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -248,7 +248,7 @@ def identify(
     >>> round(fit.velocity.plant.gain, 2)
     1.91
     """
-    runs = tuple(map(with_exact_voltage, as_records(records, settings)))
+    runs = tuple(map(mended, as_records(records, settings)))
     _check(model, delta)
     piece = None if piece is None else number_within(piece, -np.inf, np.inf, "piece")
     options = wanted(fixed or {}, bounds, priors)

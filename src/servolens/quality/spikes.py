@@ -11,6 +11,7 @@ from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.sampling import SPAN, STEPS, measure
+from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["of_part", "spike_findings", "spikes", "spoilt", "without_spikes"]
+__all__ = ["mended", "of_part", "spike_findings", "spikes", "spoilt", "without_spikes"]
 
 LEAST = 1e-4
 """Share of the travel by which a sample must lie off the cubic beside it, however little noise there is."""
@@ -45,15 +46,16 @@ def spike_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     several = f" ({places.size} such samples)" if places.size > 1 else ""
     message = (
         f"the position leaps by {abs(heights[worst]):.3g} {record.length_unit} at {record.time[places[worst]]:g} s for"
-        f" one sample and is back{several}: the sensor is disturbed. A diagnosis interpolates such samples between"
-        " their neighbours; identify and predict take them as they are, and count them as errors. Interpolate them in"
-        " the log."
+        f" one sample and is back{several}: the sensor is disturbed. Look after its cable and shielding; fits,"
+        " predictions and diagnoses interpolate such samples between their neighbours."
     )
     yield Finding(code="position_spikes", severity="warning", message=message)
 
 
-def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def spikes(record: Record, seen: Sampling | None = None) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return which single samples of the position stick out, and by how much [m or rad].
+
+    What is `seen` of the record is measured if it is not given.
 
     The outer two at either end are not judged, nor three spikes within four samples of each other; and where every
     sixth sample sticks out, none does.
@@ -63,18 +65,22 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     x = record.position
     two_before, before, _, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
     off = _off_cubic(x)
+    least = SPAN * 1.4826 * float(np.median(np.abs(off))) + LEAST * float(np.ptp(x))
+    if not (np.abs(off) > least).any():
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
+    seen = seen or measure(record)
     bend = two_before + two_after - before - after
     beside = np.pad(np.abs(off), 4)
     further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
     step = max(seen.step or 0.0, record.encoder_resolution or 0.0)
-    least = SPAN * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
+    least += STEPS * step
     moved = np.where(spoilt(record)[2:-2] & _is_single(off), 0.0, np.abs(after - before))
     usual = np.maximum(moved, BENDS * np.maximum(np.abs(bend), further))
     places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
     alone, heights = places + 2, off[places]
-    mended = x.copy()
-    mended[alone] -= heights
-    together = [one for one in _pairs(mended, least, _evenly_logged(record.time)) if one[0] not in alone]
+    rest = x.copy()
+    rest[alone] -= heights
+    together = [one for one in _pairs(rest, least, _evenly_logged(record.time)) if one[0] not in alone]
     if not together:
         return alone, heights
     found = np.array([*zip(alone, heights, strict=True), *together])
@@ -127,12 +133,17 @@ def _pairs(x: NDArray[np.float64], least: float, evenly: NDArray[np.bool_]) -> l
 
 def without_spikes(record: Record, seen: Sampling | None = None) -> Record:
     """Return `record` with what lies between its neighbours in the place of each sample that sticks out."""
-    places, heights = spikes(record, seen or measure(record))
+    places, heights = spikes(record, seen)
     if not places.size:
         return record
     position = record.position.copy()
     position[places] -= heights
     return record.with_({"position": position})
+
+
+def mended(record: Record) -> Record:
+    """Return `record` as a model is fitted to it: without samples that stick out, its voltage not rounded to steps."""
+    return with_exact_voltage(without_spikes(record))
 
 
 def spoilt(record: Record) -> NDArray[np.bool_]:

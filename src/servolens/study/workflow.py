@@ -22,7 +22,6 @@ from servolens.model_evidence import Evidence
 from servolens.plant import FREE_DAMPING
 from servolens.processors import single_threaded_blas
 from servolens.quality import assess, fatal
-from servolens.quality.spikes import without_spikes
 from servolens.study.amplifier import with_amplifier
 from servolens.study.lights import data_light, is_fit, study_lights
 from servolens.study.result import Study
@@ -175,8 +174,7 @@ def _modelled(
             progress=lambda what, done, _: progress(what, 10 + round(0.7 * done), 100),
         )
 
-    mended = [without_spikes(record) for record in records]  # as the diagnosis does itself
-    fit, diagnosis = _side_by_side(lambda: identify(mended, priors=law), searched)
+    fit, diagnosis = _side_by_side(lambda: identify(records, priors=law), searched)
     if isinstance(fit, ServolensError):
         if not fatal(_findings(found.check)):
             raise fit
