@@ -94,3 +94,10 @@ def test_marks_of_inches_break_no_lines():
     content = b'travel,5"\nstroke,6"\nt,y\n0,1\n'
     assert unbroken(content, 400) == (content, 0)
     assert unbroken(b'"a\nb,c\nd,e\n', 2) == (b'"a\nb,c\nd,e\n', 0)
+
+
+@pytest.mark.parametrize("every", [1, 7], ids=["each row", "some rows"])
+def test_a_mark_that_says_ditto_glues_no_rows(tmp_path, every):
+    rows = "".join(f"{1e-3 * k:.3f},{k % 9},{k % 7},1,{chr(34) if k % every == 0 else 'a'}\n" for k in range(60))
+    path = written(tmp_path, f"time,position,reference,voltage,note\n{rows}".encode())
+    assert read_log(path).record.time.size == 60

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from servolens.errors import InputError
+from servolens.reading.cells import fields_of, is_value
 from servolens.reading.plain_numbers import plain_numbers
 
 __all__ = ["encoding_of", "unbroken", "unified"]
@@ -16,9 +17,7 @@ MARKS = (
 """What files of other encodings begin with; the longer mark first, as one begins with the other."""
 LOOKED_AT = 400
 """Bytes that tell an encoding without a mark: of ASCII letters in two bytes each, every other byte is zero."""
-MOST_BREAKS = 20
-"""Line breaks of one row of headings."""
-_SEPARATORS = (b",", b";", b"\t", b"|")
+_SEPARATORS = (",", ";", "\t", "|")
 
 
 def encoding_of(content: bytes) -> str | None:
@@ -67,9 +66,9 @@ def _recoded(content: bytes, encoding: str) -> bytes:
 
 
 def unbroken(content: bytes, head: int) -> tuple[bytes, int]:
-    r"""Return a text without line breaks within quotation marks in its first lines, and how many there were.
+    r"""Return a text without line breaks within quotation marks above its numbers, and how many there were.
 
-    So spreadsheets write headings of several lines.
+    So spreadsheets write headings of several lines. A mark in a row of numbers is no such one: ``"`` there says ditto.
 
     Parameters
     ----------
@@ -87,19 +86,31 @@ def unbroken(content: bytes, head: int) -> tuple[bytes, int]:
     lines, rest = lines[:head], lines[head:]
     if not any(map(_is_open, lines)):
         return content, 0
+    numbers = [_numbers(line) for line in lines]
+    end = next((k for k, (_, is_row) in enumerate(numbers) if is_row), len(lines))
     whole: list[bytes] = []
     at = 0
     while at < len(lines):
-        row = lines[at : at + 1]
-        while _is_open(b" ".join(row)) and len(row) <= MOST_BREAKS and at + len(row) < len(lines):
-            row.append(lines[at + len(row)])
-        if _is_open(b" ".join(row)):
-            row = row[:1]
-        whole.append(b" ".join(row))
-        at += len(row)
+        last = at
+        if at < end and _is_open(lines[at]) and not numbers[at][0]:
+            last = next((k for k in range(at + 1, end) if lines[k].count(b'"') % 2), at)
+        whole.append(b" ".join(lines[at : last + 1]))
+        at = last + 1
     return b"\n".join([*whole, *rest]), len(lines) - len(whole)
 
 
 def _is_open(line: bytes) -> bool:
     """Tell whether a cell in quotation marks goes on in the next line; a mark behind a number is one of inches."""
-    return line.count(b'"') % 2 == 1 and line[: line.rindex(b'"')].rstrip(b" ")[-1:] in (b"", *_SEPARATORS)
+    before = line[: line.rfind(b'"')].rstrip(b" ").decode(errors="replace")
+    return line.count(b'"') % 2 == 1 and before[-1:] in ("", *_SEPARATORS)
+
+
+def _numbers(line: bytes) -> tuple[bool, bool]:
+    """Tell of a line whether it has cells that are numbers, and whether it is a row of numbers: most of its cells."""
+    text, has, is_row = line.decode(errors="replace"), False, False
+    for separator in (*_SEPARATORS, " "):
+        cells = [cell.strip() for cell in fields_of(text, separator) if cell.strip()]
+        good = sum(is_value(cell, ".") or is_value(cell, ",") for cell in cells)
+        has = has or (good > 0 and separator != " ")
+        is_row = is_row or (good > 1 and 2 * good > len(cells))
+    return has, is_row
