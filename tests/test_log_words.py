@@ -127,17 +127,50 @@ def test_an_error_in_another_unit_is_converted_and_the_campaign_reads_the_same(t
 
 
 @pytest.mark.parametrize(
-    ("heads", "factors", "part"),
+    ("heads", "factors"),
     [
-        (("t", "error", "pos [mm]", "u"), (1.0, 1e3), "say --unit reference=mm or --unit reference=m"),
-        (("t", "e [mm]", "pos", "u"), (1e3, 1e3), "say --unit position=mm or --unit position=m"),
+        (("t", "error", "pos [mm]", "u"), (1.0, 1e3)),
+        (("t", "error", "pos [mm]", "u"), (1e3, 1e3)),
+        (("t", "error", "pos", "u"), (1.0, 1.0)),
+        (("t", "e [mm]", "pos", "u"), (1e3, 1.0)),
+        (("t", "error", "angle [deg]", "u"), (1.0, 180 / np.pi)),
+        (("t", "error", "angle [deg]", "u"), (180 / np.pi, 180 / np.pi)),
     ],
-    ids=["error without", "position without"],
 )
-def test_an_error_of_which_the_unit_is_not_clear_is_a_question(tmp_path, heads, factors, part):
-    columns = T, factors[0] * (R - Y) * 0.005, factors[1] * Y * 0.005, U
-    with pytest.raises(InputError, match=part):
-        read_log(log(tmp_path, heads, *columns))
+@pytest.mark.parametrize("scale", [1.0, 0.005], ids=["large", "small"])
+@pytest.mark.parametrize("digits", [9, 4], ids=["noise", "rounded"])
+def test_the_unit_of_an_error_is_the_one_in_which_the_position_s_noise_cancels(tmp_path, heads, factors, scale, digits):
+    y, r = np.round(scale * Y, digits), scale * R
+    path = log(tmp_path, heads, T, factors[0] * (r - y), factors[1] * y, U)
+    record = read_log(path).record
+    assert record.reference == pytest.approx(r, abs=1e-6)
+    write_campaign(read_logs([path]), tmp_path / "axis.toml")
+    assert read_records(tmp_path / "axis.toml")[0].reference == pytest.approx(r, abs=1e-6)
+
+
+@pytest.mark.parametrize("heads", [("t", "error", "pos [m]", "u"), ("t", "error", "pos", "u")])
+@pytest.mark.parametrize("factor", [1e3, 100.0, 57.3, 2.0, 1.4, 0.5, 0.01])
+def test_an_error_in_an_unknown_unit_makes_no_reference(tmp_path, heads, factor):
+    record = read_log(log(tmp_path, heads, T, factor * (R - Y), Y, U)).record
+    assert record.reference is None
+    (remark,) = (one for one in record.remarks if one.code == "error_not_used")
+    assert "add up to more noise than a reference has" in remark.message
+
+
+def test_a_position_that_an_error_fits_in_its_unit_alone_is_told_to_state_it(tmp_path):
+    heads = ("t", "e [mm]", "pos", "u")
+    path = log(tmp_path, heads, T, 5 * (R - Y), 5 * Y, U)
+    (remark,) = (one for one in read_log(path).record.remarks if one.code == "error_not_used")
+    assert "say --unit position=mm" in remark.message
+    assert read_log(path, units={"position": "mm"}).record.reference == pytest.approx(0.005 * R, abs=1e-6)
+
+
+def test_the_unit_that_is_given_for_a_made_reference_stays_in_the_campaign(tmp_path):
+    path = log(tmp_path, ("t", "error", "pos [cm]", "u"), T, 1e3 * (R - Y), 1e2 * Y, U)
+    logs = read_logs([path], units={"reference": "mm"})
+    check(logs[0].reading.record)
+    write_campaign(logs, tmp_path / "axis.toml")
+    check(read_records(tmp_path / "axis.toml")[0])
 
 
 @pytest.mark.parametrize("kind", ["noise", "of the speed", "flag"])
@@ -159,7 +192,8 @@ def test_an_error_that_does_not_go_with_the_motion_makes_no_reference(tmp_path):
     reading = read_log(log(tmp_path, heads, T, still, Y, U))
     assert reading.record.reference is None
     assert [remark.code for remark in reading.record.remarks] == ["error_not_used"]
-    with pytest.raises(InputError, match="'error' may be reference less position, the other way round, or another"):
+    sentence = "no reference could be made of 'error': it does not go with the motion; .* --column reference=-"
+    with pytest.raises(InputError, match=sentence):
         read_log(log(tmp_path, heads[:3], T, still, Y), settings={"kp": "60 V/m", "kd": "4 V s/m"})
 
 

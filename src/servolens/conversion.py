@@ -105,12 +105,13 @@ def _entry(log: Log, file: Path, beside: Path | None = None) -> str:
 
 
 def _units(log: Log) -> dict[str, str]:
-    """Return the units of all columns; those of counted columns follow from their scale."""
+    """Return the units of all columns, and of a made reference; those of counted columns follow from their scale."""
     reading = log.reading
     si = units_of(reading.record)
     if any(key in reading.settings for key in ("counts_per_unit", "counts_per_rev")):
         si = {"time": si["time"], "voltage": si["voltage"]}
-    return {signal: text for signal in reading.columns if (text := reading.units.get(signal) or si.get(signal))}
+    signals = dict.fromkeys((*reading.columns, *({"reference"} & set(reading.units))))
+    return {signal: text for signal in signals if (text := reading.units.get(signal) or si.get(signal))}
 
 
 def _table(entries: Mapping[str, str]) -> str:

@@ -13,8 +13,8 @@ from servolens.findings import Finding
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.narrowing import alike, near
-from servolens.reading.roles import candidates, turns
-from servolens.reading.scales import VELOCITY_AGREES, is_alike, length_unit, travel_of
+from servolens.reading.roles import candidates, turns, typed
+from servolens.reading.scales import VELOCITY_AGREES, travel_of
 from servolens.reading.words import allows, meaning
 from servolens.units import parse_unit
 
@@ -227,8 +227,9 @@ def referred(
     """Return the reference that the position and the logged error make where none is logged, and remarks.
 
     That the error is reference less position, and not the other way round, the motion tells: a loop drives its axis by
-    the error, so that error and speed correlate. And the position's noise is in its error, but not in the reference.
-    Where one of the two does not hold, no reference is made of it: it may be another error.
+    the error, so that error and speed correlate. And the position's noise is in its error, but not in the reference,
+    which tells the error's unit too: that of the position, or SI. Where one of the two does not hold, no reference is
+    made of it: it may be another error.
 
     Parameters
     ----------
@@ -244,30 +245,31 @@ def referred(
     Raises
     ------
     InputError
-        If two units are plausible, or if the error's sign is not clear and no command is logged either.
+        If no reference can be made of the error, and no command is logged either.
     """
     position = chosen["position"]
-    error = _error_beside(position, chosen, tables)
-    own = None if error is None else stated or error.unit or _unit_of_error(error, unit, position)
-    scale = _per_error(position, error, unit, own) if error else None
-    found = _speed(position)
-    if error is None or scale is None or found is None:
+    error, found = _error_beside(position, chosen, tables), _speed(position)
+    if error is None or found is None:
         return None, []
+    is_needed = "voltage" not in chosen
     moved, speed = error.column.values[found[1]], found[0][found[1]]
     size = float(np.linalg.norm(moved) * np.linalg.norm(speed))
     work = float(moved @ speed) / size if size > 0 else 0.0
+    if abs(work) < WORK:
+        return None, _not_used(error, "it does not go with the motion", is_needed=is_needed)
     sign, way = (1.0, "+") if work > 0 else (-1.0, "-")
-    y = scale * position.column.values
-    e = sign * error.column.values
-    gained = _roughness(e) - _roughness(y + e)  # all of the position's, or as much as chance has it
-    is_of_position = gained > 0.5 * _roughness(y)
-    if abs(work) < WORK or not is_of_position:
-        return None, _of_unclear_sign(error, is_needed="voltage" not in chosen)
+    y, e = position.column.values, sign * error.column.values
+    given = stated or error.unit
+    scales = {own: _per_error(unit, own) for own in ((given,) if given else (unit, _si_of(unit)))}
+    fitting = [(own, scale) for own, scale in scales.items() if scale is not None and _is_left_of(scale * y, e)]
+    if not fitting:
+        return None, _not_used(error, _why_not(unit, scales, y, e), is_needed=is_needed)
+    own, scale = fitting[0]
     how = "go together" if work > 0 else "are opposed"
     evidence = f"no reference is logged; error and speed {how} (r = {abs(work):.2f})"
     source = f"{position.address} {way} {error.address}"
     origin = Guess(quantity="reference", source=source, value=own or "", evidence=evidence)
-    column = replace(error.column, name=source, values=y + e, unit=own, origin=origin)
+    column = replace(error.column, name=source, values=scale * y + e, unit=own, origin=origin)
     return replace(error, column=column), []
 
 
@@ -296,19 +298,20 @@ def _roughness(values: Values) -> float:
     return float(np.sum(np.abs(np.diff(values, 2))))
 
 
-def _unit_of_error(error: Choice, unit: str | None, position: Choice) -> str | None:
-    """Return the unit of an error that states none: the position's, where it is not nearer to that in SI."""
-    return length_unit(error, unit, position)[0] if unit else None
+def _is_left_of(position: Values, error: Values) -> bool:
+    """Tell whether an error holds the position's noise just once: adding it takes it away, adding it twice not."""
+    once, least = _roughness(position + error), 0.5 * _roughness(position)
+    return _roughness(error) - once > least and _roughness(2 * position + error) - once > least
 
 
-def _per_error(position: Choice, error: Choice, unit: str | None, own: str | None) -> float | None:
-    """Return units of the error in one of the position, None where they are of different kinds.
+def _si_of(unit: str | None) -> str | None:
+    """Return the SI unit of a position that is in `unit`; counts have none."""
+    parsed = parse_unit(unit or "")
+    return next((si for si in ("m", "rad") if parsed and dict(parsed.dimension) == {si: 1}), unit)
 
-    Raises
-    ------
-    InputError
-        If the position states no unit and is about as large as the error in that one's.
-    """
+
+def _per_error(unit: str | None, own: str | None) -> float | None:
+    """Return units of the error in one of the position, None where they are of different kinds."""
     if unit == own:
         return 1.0
     mine, errors = parse_unit(unit or ""), parse_unit(own or "")
@@ -316,21 +319,35 @@ def _per_error(position: Choice, error: Choice, unit: str | None, own: str | Non
         return None
     if mine is not None:
         return mine.factor / errors.factor if mine.dimension == errors.dimension else None
-    if is_alike(position, error, own or ""):
-        si = "rad" if "rad" in dict(errors.dimension) else "m"
-        raise InputError(
-            f"column {quote(position.address)} states no unit beside {quote(error.address)} in {own}; say --unit"
-            f" position={own} or --unit position={si}"
-        )
     return 1.0 / errors.factor if "count" not in dict(errors.dimension) else None
 
 
-def _of_unclear_sign(error: Choice, *, is_needed: bool) -> list[Finding]:
-    begin = (
-        f"the column {quote(error.address)} may be reference less position, the other way round, or another error, as"
-        " it does not go with the motion"
-    )
+def _why_not(unit: str | None, scales: Mapping[str | None, float | None], position: Values, error: Values) -> str:
+    """Return why an error in none of the units that were tried makes a reference."""
+    given = next(iter(scales))
+    if unit is None and given and _is_left_of(position, error):
+        return f"it fits a position in {quote(given)}, which states no unit: say --unit {typed(f'position={given}')}"
+    if not any(scales.values()):
+        return f"it is in {quote(given or '')}, and the position in {quote(unit or 'SI')}"
+    tried = f" (in {' and in '.join(own for own in scales if own)})" if given else ""
+    return f"position and error{tried} add up to more noise than a reference has"
+
+
+def _not_used(error: Choice, why: str, *, is_needed: bool) -> list[Finding]:
+    """Remark on an error of which no reference was made.
+
+    Raises
+    ------
+    InputError
+        If there is no command either.
+    """
     if is_needed:
-        raise InputError(f"{begin}, and neither reference nor voltage is logged; log the reference")
-    message = f"{begin}; no reference was taken from it. Log the reference."
+        raise InputError(
+            f"neither reference nor voltage is logged, and no reference could be made of {quote(error.address)}: {why};"
+            " log the reference, or state it, e.g. --reference-step 0.1@0.5, or do without: --column reference=-"
+        )
+    message = (
+        f"no reference was made of the column {quote(error.address)}: {why}. If it is reference less position, log the"
+        " reference."
+    )
     return [Finding(code="error_not_used", severity="note", message=message)]
