@@ -233,6 +233,32 @@ def test_stamps_that_are_not_even_stay_as_they_are(tmp_path):
     assert record.time == pytest.approx(1e-9 * late, abs=0.3e-6)
 
 
+@pytest.mark.parametrize(
+    ("start", "step", "unit", "seconds"),
+    [
+        (1_200_000_000_000, 500, "us", 5e-4),
+        (1_200_000_000_000_000, 125_000, "ns", 1.25e-4),
+        (1_600_000_000_000, 250, "us", 2.5e-4),
+        (1_600_000_000_000, 20, "ms", 0.02),
+        (1_700_000_000_000_000_000, 50_000_000, "ns", 0.05),
+        (132_500_000_000_000_000, 500_000, "100 ns", 0.05),
+    ],
+)
+def test_a_time_since_switching_on_is_no_date(tmp_path, start, step, unit, seconds):
+    cells = [str(start + step * k) for k in range(T.size)]
+    reading = read_log(log(tmp_path, ("timestamp", "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U))
+    assert evidence(reading, "time").value == unit
+    assert np.diff(reading.record.time) == pytest.approx(seconds, rel=1e-3)
+
+
+@pytest.mark.parametrize(("start", "units"), [(1_600_000_000_000, ("ms", "us")), (1_600_000_000_000_000, ("us", "ns"))])
+def test_a_time_that_is_a_date_or_a_time_since_switching_on_is_a_question(tmp_path, start, units):
+    cells = [str(start + start // 32_000_000_000 * k) for k in range(T.size)]
+    path = log(tmp_path, ("timestamp", "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U)
+    with pytest.raises(InputError, match=f"say --unit time={units[0]} or --unit time={units[1]}$"):
+        read_log(path)
+
+
 # ---- small units
 
 

@@ -54,6 +54,8 @@ EPOCHS = (
     ("100 ns", 62_135_596_800.0, "100 ns since the year 1, ticks of .NET"),
 )
 """How such clocks count beside seconds: their unit, seconds from their beginning to 1970, and what that is called."""
+LONGEST_UPTIME = 366 * DAY
+"""Time since a computer was switched on that is believable [s]."""
 ROUNDING = 1e-3
 """Of sample times from dates, which programs round to about 0.1 ms."""
 FEWEST_SAMPLES = 20
@@ -88,11 +90,14 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     low, high = SAMPLE_TIMES
     if low <= interval <= high:
         return None, "seconds are assumed"
-    if since := _since(float(values[0]), interval):
+    fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
+    since = _since(float(values[0]), interval)
+    uptimes = [unit for unit in fits if since and unit != since[0] and values[0] * TIMES[unit] <= LONGEST_UPTIME]
+    if since and not uptimes:
         return since
     if _is_date(values) and low <= interval * DAY <= (1 + ROUNDING) * LONGEST_SAMPLE_TIME:
         return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
-    fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
+    fits = [since[0], *uptimes] if since else fits
     if fits and 0 < interval < LONGEST_SAMPLE_TIME:
         if choice.column.name == "time":
             return None, "seconds, as record files have them"
@@ -115,7 +120,7 @@ def _since(first: float, interval: float) -> tuple[str, str] | None:
         unit = parse_unit(text)
         if unit is None or not MACHINES[0] <= first * unit.factor - before <= MACHINES[1]:
             continue
-        if SAMPLE_TIMES[0] <= interval * unit.factor <= LONGEST_SAMPLE_TIME:
+        if SAMPLE_TIMES[0] <= interval * unit.factor <= SAMPLE_TIMES[1]:
             rate = 1 / (interval * unit.factor)
             return text, f"steps of {interval:.6g}, and values that are dates in {what}: {rate:.4g} Hz"
     return None
