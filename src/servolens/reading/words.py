@@ -72,8 +72,9 @@ _CONVENTIONS = (
 _COMMANDS = ("voltage", "feedforward")
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
-_WITHIN = re.compile(r"([^\[\]]*)\[([^\[\]]{2,})\]([ _].*)", re.DOTALL)
-"""A unit with words behind it: ``Position [mm] filtered``; a single letter there may be an index."""
+_WITHIN = re.compile(r"([^\[\]]*)\s\[([^\[\]]{2,})\]([ _].*)", re.DOTALL)
+"""A unit with words behind it: ``Position [mm] filtered``; a single letter there, or what a name goes on with, may be an
+index."""
 _CLOCK = re.compile(r"h{1,2}:m{1,2}(:s{1,2})?([.,:]\w+)?", re.IGNORECASE)
 """What stands in the place of a unit above time stamps."""
 _SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
@@ -213,7 +214,7 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
             stated = None if inner in ("", "-") or _CLOCK.fullmatch(inner) else inner
             return match[1].strip(), known or stated, "in brackets"
     match = _WITHIN.fullmatch(text)
-    if match and match[1].strip() and (unit := _known(match[2])) and _is_of_signals(unit) and not unit.isdecimal():
+    if match and match[1].strip() and (unit := _known(match[2])) and _is_within(unit):
         return f"{match[1].strip()}{match[3]}", unit, "in brackets"
     match = _SLASH.fullmatch(text)
     if match and (unit := _known(match[2])) and (len(unit) > 1 or _is_of_signals(unit)):
@@ -229,6 +230,12 @@ def _is_of_signals(unit: str) -> bool:
         _allowed(dict(parsed.dimension)) != _COMMANDS
         or any(one is not None and one.dimension == parsed.dimension for one in commands)
     )
+
+
+def _is_within(unit: str) -> bool:
+    """Tell whether a unit may stand within a name: one of time, position or command that is no word, as in and min."""
+    is_word = unit.isdecimal() or CLASS.get(unit.lower()) in ("neutral", "other")
+    return not is_word and _is_of_signals(unit) and any(allows(one, unit) for one in ("time", "position", "voltage"))
 
 
 def _known(text: str) -> str | None:
