@@ -87,6 +87,7 @@ def test_an_english_tension_is_no_command(tmp_path):
         ("Position [MM]", "Position", "mm"),
         ("Weg (in mm)", "Weg", "mm"),
         ("Position [mm] filtered", "Position filtered", "mm"),
+        ("Position (M)", "Position", "M"),
         ("x[in] meas", "x[in] meas", None),
         ("x [in] meas", "x [in] meas", None),
         ("pos [min] y", "pos [min] y", None),

@@ -209,7 +209,8 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
     match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
     if match and match[1]:
         inner = match[3].strip()
-        known = _known(inner)
+        is_letter = match[2] == "(" and len(inner) == 1 and inner.isupper()  # (M) may be the motor, but (V) are volts
+        known = inner if is_letter and parse_unit(inner) else _known(inner)
         if match[2] == "[" or known:
             stated = None if inner in ("", "-") or _CLOCK.fullmatch(inner) else inner
             return match[1].strip(), known or stated, "in brackets"
