@@ -290,6 +290,18 @@ def test_spikes_make_no_speed(tmp_path):
     assert np.max(record.position) == pytest.approx(np.max(spiked), abs=1e-6)
 
 
+def test_an_axis_that_is_homed_makes_no_speed(tmp_path):
+    homed = Y - np.where(np.arange(Y.size) > 300, 0.6, 0.0)
+    record = read_log(log(tmp_path, ("t", "pos", "ref", "u"), T, homed, R, U)).record
+    assert np.ptp(record.position) == pytest.approx(np.ptp(homed), abs=1e-6)
+
+
+def test_temps_beside_a_time_are_temperatures(tmp_path):
+    warm = 20.0 + np.sqrt(1.0 + T)
+    reading = read_log(log(tmp_path, ("timestamp", "pos", "ref", "volt", "temps"), T, Y, R, U, warm))
+    assert reading.record.time == pytest.approx(T, abs=1e-5)
+
+
 # ---- a reference without a unit beside a position with one
 
 

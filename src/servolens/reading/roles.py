@@ -256,6 +256,7 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
         left = moving(paired(measured(left), found))
     if signal == "time":
         left = increasing(left)
+        left = [c for c in left if c.meaning.words != "temps"] or left  # beside another time it is temperatures
     if not left:
         return None
     if len(left) > 1:

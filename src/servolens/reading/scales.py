@@ -284,7 +284,8 @@ def travel_of(values: Values) -> float:
 def speed_of(position: Choice, time: Choice, unit: str | None) -> float:
     """Return at which speed a position passes a quarter of its travel [its unit per second], zero where none tells.
 
-    Samples that stick out, and noise, make no such speed: each is the median of five.
+    Samples that stick out, and noise, make no such speed: each is the median of five. Nor does a jump of as much from
+    one sample to the next, as of an axis that is homed or an angle that wraps.
 
     Parameters
     ----------
@@ -297,6 +298,8 @@ def speed_of(position: Choice, time: Choice, unit: str | None) -> float:
     if parsed is None or y.size != t.size or y.size < FEWEST_SAMPLES or not travel_of(y) or not travel_of(t):
         return 0.0
     smooth = np.median(np.lib.stride_tricks.sliding_window_view(y, 5), axis=1)
+    steps = np.diff(smooth, prepend=smooth[0])
+    smooth = np.cumsum(np.where(np.abs(steps) > np.ptp(smooth) / 4, 0.0, steps))
     instants, travel, span = t[2:-2] * parsed.factor, float(np.ptp(smooth)), 1
     while span < smooth.size:
         moved = np.abs(smooth[span:] - smooth[:-span])

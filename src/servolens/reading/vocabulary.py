@@ -98,7 +98,7 @@ WORDS: Mapping[str, str] = {
     ),
 }
 _ROMANCE = (
-    "temps tiempo horodatage posizione posicion posicao tensao velocidade desiree desejada deplacement "
+    "tiempo horodatage posizione posicion posicao tensao velocidade desiree desejada deplacement "
     "spostamento desplazamiento angolo angulo vitesse velocita velocidad tensione voltaje courant "
     "corrente corriente coppia forza fuerza commande comando mando consigne riferimento referencia "
     "consigna desiderata desiderato deseada deseado mesure mesuree misura misurata misurato medida medido "
