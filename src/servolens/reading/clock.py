@@ -79,7 +79,7 @@ def _whole_stamps(table: Table) -> Table:
     columns = list(table.columns)
     for name, (column, scale) in _fractions(table).items():
         seconds = next((c for c in columns if c.name.lower() in (f"{name}{word}" for word in _SECONDS)), None)
-        if seconds is None or not (_is_whole(seconds.values) and _is_whole(column.values)):
+        if seconds is None or not (seconds.is_whole and column.is_whole):
             continue
         if seconds.values.size != column.values.size or np.any((column.values < 0) | (column.values * scale >= 1)):
             continue
@@ -99,10 +99,6 @@ def _fractions(table: Table) -> dict[str, tuple[Column, float]]:
                 found.setdefault(lower.removesuffix(word), (column, scale))
                 break
     return found
-
-
-def _is_whole(values: Values) -> bool:
-    return bool(values.size and np.isfinite(values).all() and np.array_equal(values, np.round(values)))
 
 
 def _interval(table: Table, settings: Mapping[str, object] | None) -> tuple[float, Guess] | None:

@@ -283,15 +283,11 @@ def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequen
         and id(choice.column) not in taken
         and choice.column.values.size == size
         and travel_of(choice.column.values) > 0
-        and not (_is_whole(choice.column.values) and not _is_whole(position.column.values))  # a flag, a code
+        and (position.column.is_whole or not choice.column.is_whole)  # no flag, no code
         and (choice.unit is None or allows("position", choice.unit))
     ]
     found = alike(near(found, position)) if found else []
     return found[0] if len(found) == 1 and found[0].table == position.table else None
-
-
-def _is_whole(values: Values) -> bool:
-    return bool(np.array_equal(values, np.round(values)))
 
 
 def _roughness(values: Values) -> float:

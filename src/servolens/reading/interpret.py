@@ -258,15 +258,14 @@ def _units(
 def _may_be(choice: Choice, signal: str) -> bool:
     """Tell whether a column may be in the unit that its name implies: a servo's protocol counts in whole numbers."""
     values = choice.column.values
-    is_whole = values.dtype.kind in "iuf" and bool(np.array_equal(values, np.round(values)))
     if choice.unit == DUTY and choice.meaning.where == BY_NAME and np.max(np.abs(values), initial=0.0) > 1:
         return False
-    if choice.meaning.where == BY_KIND and (is_counted(values) or is_huge(choice)):
+    if choice.meaning.where == BY_KIND and (is_counted(choice.column) or is_huge(choice)):
         return False
     is_mark = choice.unit == "m" and choice.meaning.symbol and values.dtype.kind in "iuf" and values.size > 0
     if is_mark and np.ptp(values) > LONGEST_AXIS:
         return False  # the m of y_m may as well say that it was measured
-    return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or is_whole)
+    return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or choice.column.is_whole)
 
 
 def _unstated(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.reading.roles import Choice
+    from servolens.reading.table import Column
 
     Values = NDArray[np.float64]
 
@@ -186,7 +187,7 @@ def length_unit(
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
-    is_whole = np.array_equal(values, np.round(values))
+    is_whole = choice.column.is_whole
     is_far = travel > (MOST_TURNS if is_angle else LONGEST_AXIS) or (is_whole and travel > 2)
     is_fast = speed > FASTEST_AXIS and not (is_angle or is_far)
     if not (is_far or is_fast):
@@ -353,11 +354,11 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
             f"column {quote(choice.label)} reaches {np.max(np.abs(values)):.4g}, and 1 is full duty: per cent and"
             " counts of a PWM are plausible; say --unit voltage=% or --unit voltage=pwm"
         )
-    if is_counted(values) or is_huge(choice):
+    if is_counted(choice.column) or is_huge(choice):
         units = (choice.unit, f"m{choice.unit}") if choice.unit else ("V", "pwm")
         spoken = " and ".join(units) if choice.unit else "volts and counts of a PWM"
         answers = " or ".join("--unit " + typed(f"voltage={unit}") for unit in units)
-        holds = "holds whole numbers up to" if is_counted(values) else "reaches"
+        holds = "holds whole numbers up to" if is_counted(choice.column) else "reaches"
         raise InputError(
             f"column {quote(choice.address)} {holds} {np.max(np.abs(values)):g} and states no unit:"
             f" {spoken} are plausible; say {answers}"
@@ -372,8 +373,9 @@ def is_huge(choice: Choice) -> bool:
     return is_known and float(np.max(np.abs(values))) > LARGEST_COMMAND
 
 
-def is_counted(values: Values) -> bool:
+def is_counted(column: Column) -> bool:
     """Tell whether a command is in whole numbers of something small: up to a full scale, or of many levels."""
-    if values.size < FEWEST_SAMPLES or not np.isfinite(values).all() or not np.array_equal(values, np.round(values)):
+    values = column.values
+    if values.size < FEWEST_SAMPLES or not column.is_whole:
         return False
     return float(np.max(np.abs(values))) in FULL_SCALES or np.unique(values).size > FEWEST_SAMPLES

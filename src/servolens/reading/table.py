@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from servolens.findings import Finding
@@ -65,6 +66,13 @@ class Column:
     fault: Fault | None = None
     switches: Fault | None = None
     origin: Guess | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it holds whole numbers and nothing else."""
+        values = self.values
+        is_finite = values.dtype.kind in "iuf" and bool(values.size and np.isfinite(values).all())
+        return is_finite and np.array_equal(values, np.round(values))
 
 
 @final

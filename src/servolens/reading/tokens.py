@@ -12,13 +12,14 @@ from servolens.reading.vocabulary import LETTERS, MOTOR_VOLTAGES, PLACES, UNITS,
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["CLASS", "agree", "tokens_of", "without_accents"]
+__all__ = ["CLASS", "PART", "agree", "tokens_of", "without_accents"]
 
 CLASS = {word: kind for kind, words in WORDS.items() for word in words.split()}
 """Kind of each word that is known."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
-_ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
+PART = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
+"""Letters or digits in a row."""
 
 
 def tokens_of(name: str) -> tuple[str, ...]:
@@ -30,7 +31,7 @@ def tokens_of(name: str) -> tuple[str, ...]:
     (('soll', 'position'), ('axis', '1', 'act', 'pos'), ('posicion', 'mm'))
     """
     found: list[str] = []
-    for part in _ACRONYM.findall(
+    for part in PART.findall(
         without_accents(name)
         .replace("Δ", "delta ")
         .replace("%", " percent ")

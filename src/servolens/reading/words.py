@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, final
 
-from servolens.reading.tokens import CLASS, agree, tokens_of, without_accents
+from servolens.reading.tokens import CLASS, PART, agree, tokens_of, without_accents
 from servolens.reading.vocabulary import (
     AMOUNTS,
     ANGLES,
@@ -177,7 +177,7 @@ def at_the_end(text: str) -> str | None:
     ('mm', None, None)
     """
     kept, found = _suffix(tokens_of(unit_behind(text)[0]))
-    last = re.findall(r"[A-Za-zäöüÄÖÜß]+|\d+", unit_behind(text)[0])[-1:]
+    last = PART.findall(unit_behind(text)[0])[-1:]
     return found if kept and last and len(last[0]) > 1 else None
 
 
