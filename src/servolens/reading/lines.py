@@ -62,7 +62,7 @@ def _recoded(content: bytes, encoding: str) -> bytes:
     try:
         return content.decode(encoding).encode()
     except UnicodeError as error:
-        raise InputError("is not text in UTF-8, UTF-16 or Latin-1; save it as UTF-8 CSV") from error
+        raise InputError("is not text in UTF-8, UTF-16, UTF-32 or Latin-1; save it as UTF-8 CSV") from error
 
 
 def unbroken(content: bytes, head: int) -> tuple[bytes, int]:
