@@ -6,6 +6,7 @@ import pickle
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from servolens.identification.explained import Explained
 from servolens.identification.integral import Pieces, assemble, solve_integral
 from servolens.identification.later import Later
 from servolens.identification.options import FitOptions
-from servolens.identification.refine import minimise_error
+from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import ClosedRun
 from servolens.identification.segments import motion_segments, settled_steps
@@ -355,11 +356,11 @@ def test_a_law_that_cannot_be_simulated_on_whole_records_is_fitted_to_stretches(
 def test_a_start_whose_loop_is_unstable_leaves_the_others(monkeypatch) -> None:
     begun = []
 
-    def first_unstable(start: Plant, runs: list[object], *args: object, **options: object) -> object:
+    def first_unstable(start: Plant, *args: Any, **options: Any) -> Refinement:
         begun.append(start)
         if len(begun) == 1:
             raise NumericalError("the plant to start from cannot be simulated on these records: its loop is unstable")
-        return minimise_error(start, runs, *args, **options)  # type: ignore[arg-type]  # passed on
+        return minimise_error(start, *args, **options)
 
     dry = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
     monkeypatch.setattr(velocity, "minimise_error", first_unstable)

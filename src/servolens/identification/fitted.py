@@ -10,11 +10,11 @@ import numpy as np
 from servolens.identification.error_problem import Known
 from servolens.identification.fit_findings import findings_of, is_beyond, not_determined
 from servolens.identification.late_errors import counting_late_inputs
+from servolens.identification.least_determined import of_flattest_place
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.shaken_errors import counting_answers_to_shaking
 from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.unsteady import counting_unsteadiness
-from servolens.identification.valleys import counting_valleys
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def with_error_bars(
         Whether nothing was applied before records that begin with their step.
     """
     for counting in (
-        counting_valleys,
+        of_flattest_place,
         counting_unsteadiness,
         counting_late_inputs,
         counting_answers_to_shaking,

@@ -79,7 +79,7 @@ def _whole_stamps(table: Table) -> Table:
     columns = list(table.columns)
     for name, (column, scale) in _fractions(table).items():
         seconds = next((c for c in columns if c.name.lower() in (f"{name}{word}" for word in _SECONDS)), None)
-        if seconds is None or not (seconds.is_whole and column.is_whole):
+        if seconds is None or not (seconds.is_integer and column.is_integer):
             continue
         if seconds.values.size != column.values.size or np.any((column.values < 0) | (column.values * scale >= 1)):
             continue

@@ -283,7 +283,7 @@ def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequen
         and id(choice.column) not in taken
         and choice.column.values.size == size
         and travel_of(choice.column.values) > 0
-        and (position.column.is_whole or not choice.column.is_whole)  # no flag, no code
+        and (position.column.is_integer or not choice.column.is_integer)  # no flag, no code
         and (choice.unit is None or allows("position", choice.unit))
     ]
     found = alike(near(found, position)) if found else []

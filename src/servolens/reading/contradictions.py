@@ -73,7 +73,7 @@ def _labels_rows(column: Column, position: Choice) -> bool:
         return False
     values = column.values
     if column.fault is None and np.isfinite(values).all():
-        is_one_of_few = 2 <= np.unique(values).size <= MOST_AXES and column.is_whole
+        is_one_of_few = 2 <= np.unique(values).size <= MOST_AXES and column.is_integer
         return is_one_of_few and float(np.mean(np.diff(values) != 0)) >= BY_TURNS
     return column.fault is not None and _comes_by_turns(position.column.values)
 

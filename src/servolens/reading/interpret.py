@@ -24,7 +24,7 @@ from servolens.reading.scales import (
     is_counted,
     is_huge,
     length_unit,
-    speed_of,
+    passing_speed,
     time_unit,
     travel_of,
     unrounded,
@@ -265,7 +265,7 @@ def _may_be(choice: Choice, signal: str) -> bool:
     is_mark = choice.unit == "m" and choice.meaning.symbol and values.dtype.kind in "iuf" and values.size > 0
     if is_mark and np.ptp(values) > LONGEST_AXIS:
         return False  # the m of y_m may as well say that it was measured
-    return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or choice.column.is_whole)
+    return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or choice.column.is_integer)
 
 
 def _unstated(
@@ -286,7 +286,7 @@ def _unstated(
             if partner is not None and other is not None and other[0] and other[1] != BY_CALLER:
                 check_own_length(signal, choice, partner, other[0])
             return None, ""
-        speed = speed_of(choice, chosen["time"], found["time"][0]) if signal == "position" else 0.0
+        speed = passing_speed(choice, chosen["time"], found["time"][0]) if signal == "position" else 0.0
         return _length(choice, partner, other, settings, speed)
     if signal == "voltage" and (not is_own or choice.unit or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
@@ -334,7 +334,7 @@ def _about_length(
 ) -> list[Finding]:
     """Warn of a position of a record file that states no unit, nor do its gains, and is implausible in metres."""
     position = chosen["position"]
-    travel, speed = travel_of(position.column.values), speed_of(position, chosen["time"], found["time"][0])
+    travel, speed = travel_of(position.column.values), passing_speed(position, chosen["time"], found["time"][0])
     if found["position"] != (None, "") or (travel <= LONGEST_AXIS and speed <= FASTEST_AXIS):
         return []
     if _states_length(settings) or _has_counts(settings):

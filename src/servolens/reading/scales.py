@@ -29,7 +29,7 @@ __all__ = [
     "check_own_length",
     "command_unit",
     "length_unit",
-    "speed_of",
+    "passing_speed",
     "time_unit",
     "travel_of",
     "unrounded",
@@ -187,7 +187,7 @@ def length_unit(
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
-    is_whole = choice.column.is_whole
+    is_whole = choice.column.is_integer
     is_far = travel > (MOST_TURNS if is_angle else LONGEST_AXIS) or (is_whole and travel > 2)
     is_fast = speed > FASTEST_AXIS and not (is_angle or is_far)
     if not (is_far or is_fast):
@@ -282,7 +282,7 @@ def travel_of(values: Values) -> float:
     return float(np.ptp(values))
 
 
-def speed_of(position: Choice, time: Choice, unit: str | None) -> float:
+def passing_speed(position: Choice, time: Choice, unit: str | None) -> float:
     """Return at which speed a position passes a quarter of its travel [its unit per second], zero where none tells.
 
     Samples that stick out, and noise, make no such speed: each is the median of five. Nor does a jump of as much from
@@ -376,6 +376,6 @@ def is_huge(choice: Choice) -> bool:
 def is_counted(column: Column) -> bool:
     """Tell whether a command is in whole numbers of something small: up to a full scale, or of many levels."""
     values = column.values
-    if values.size < FEWEST_SAMPLES or not column.is_whole:
+    if values.size < FEWEST_SAMPLES or not column.is_integer:
         return False
     return float(np.max(np.abs(values))) in FULL_SCALES or np.unique(values).size > FEWEST_SAMPLES

@@ -68,7 +68,7 @@ class Column:
     origin: Guess | None = None
 
     @property
-    def is_whole(self) -> bool:
+    def is_integer(self) -> bool:
         """Whether it holds whole numbers and nothing else."""
         values = self.values
         is_finite = values.dtype.kind in "iuf" and bool(values.size and np.isfinite(values).all())

@@ -158,7 +158,7 @@ def meaning(text: str, unit: str | None = None, *, romance: bool = False) -> Mea
 
 
 def is_romance(text: str) -> bool:
-    """Tell whether a heading is French, Italian or Spanish beyond doubt.
+    """Tell whether a heading has a word that is French, Italian or Spanish, and nothing in English or German.
 
     Examples
     --------

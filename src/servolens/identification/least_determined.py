@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
 
-__all__ = ["counting_valleys"]
+__all__ = ["of_flattest_place"]
 
 AWAY = 3.0
-"""Standard errors from the minimum to where the error is looked at: nearer it explains nearly as much, and so may the
-rest of a valley."""
+"""Standard errors from the minimum to where the error is looked at: nearer it explains nearly as much, and so may what
+lies further along."""
 
 
-def counting_valleys(
+def of_flattest_place(
     likelihood: Likelihood, refined: Refinement, noise: NoiseModel, *, unpowered: bool = False
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with error bars of the flattest place that explains as much.
@@ -97,7 +97,7 @@ def _variances(found: Linearised, seen: NDArray[np.bool_]) -> NDArray[np.float64
 
 
 def _beside(problem: Problem, minimum: Point, found: Linearised, free: NDArray[np.intp]) -> list[Point]:
-    """Return where descents end that begin on both sides of the `minimum` along the direction that is known least.
+    """Return where the minimiser ends from both sides of the `minimum`, along the direction that is determined least.
 
     Of the parameters that are `free`, as far as that explains more than the linearisation has it.
     """
