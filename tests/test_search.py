@@ -38,6 +38,7 @@ from servolens.effects import (
     FrictionMap,
     HardeningSpring,
     PendulumGravity,
+    PositionFriction,
     QuadraticDrag,
     ReturnSpring,
     Seen,
@@ -432,6 +433,23 @@ def test_a_lag_that_was_taken_for_a_speed_loop_is_exchanged_for_it():
     assert found.damping == pytest.approx(10.0, rel=1e-3)
 
 
+def test_a_lag_alone_that_was_taken_for_a_speed_loop_is_exchanged_for_it():
+    """A score of it far behind that of the speed loop, which is the same with two parameters more, kept it out."""
+    axis = lab.Truth(gain=0.73, damping=3.2, effects={"sensor_lag": {"time_constant": 0.00425}})
+    runs = tuple(
+        lab.step_record(axis, kp=kp, kd=kd, reference=0.3, noise=2e-5, sample_time=5e-4, duration=0.6, seed=seed)
+        for seed, (kp, kd) in enumerate(((1800.0, 79.0), (1100.0, 100.0)))
+    )
+    case = Case(runs, (), {}, len(catalogue()))
+    servo = SpeedServo(speed_per_volt=0.23, proportional=1e-3, integral=742.0)
+    taken = case.likelihood.judged(Plant(gain=2e-4, damping=238.0, effects=(servo,)))
+    explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, (), lambda _: False, 1.0)
+    found = explorer.exchanged(taken)
+    assert found.causes in (("sensor_lag",), ("actuator_lag",))
+    assert found.plant.effects[0].time_constant == pytest.approx(0.00425, rel=1e-2)
+    assert found.plant.damping == pytest.approx(3.2, rel=1e-2)
+
+
 def test_what_is_thinned_for_the_search_is_simulated_all_the_same_and_counted():
     axis = lab.Truth(gain=2.0, damping=6.0, effects={})
     record = lab.step_record(axis, kp=60.0, reference=[0.1, 0.0] * 6, noise=1e-5, seed=1)
@@ -552,6 +570,16 @@ def test_force_that_repeats_once_a_turn_has_gravity_as_its_simple_form():
     assert arm.effects == (PendulumGravity(amplitude=7.0, phase=-2.3),)
     assert not [*simplified(replace(turned, length_unit="m"), HUNG)]
     assert not [*Cogging(amplitude=7.0, pitch=3.0, phase=-2.3).simplified(HUNG)]
+
+
+def test_a_friction_map_with_one_high_knot_may_be_a_tight_spot():
+    spot = PositionFriction(level=2.0, centre=0.11, width=0.06)
+    places = np.linspace(0.0, 0.4, 5)
+    levels = spot.level * np.exp(-(((places - spot.centre) / spot.width) ** 2))
+    knots = {f"{way}_{i}": level for way in ("positive", "negative") for i, level in enumerate(levels.tolist())}
+    (simple,) = FrictionMap(**knots, low=0.0, high=0.4).simplified(HUNG)
+    assert isinstance(simple, PositionFriction)
+    assert (simple.level, simple.centre, simple.width) == pytest.approx((2.0, 0.1, 0.06), rel=0.1)
 
 
 def test_friction_map_is_parted_into_friction_and_a_spring():

@@ -415,6 +415,13 @@ def test_missing_fields_of_the_spec_are_those_of_the_fastest_loop():
     assert (given.kp, given.sample_time, given.reference) == (30.0, 1e-3, 0.05)
 
 
+def test_a_gain_is_designed_for_the_cycle_and_not_for_rounded_stamps():
+    """Of stamps in whole milliseconds more than half were 2 ms apart, and the loop was taken to run at that."""
+    run = lab.step_record(CART, 40, reference=0.12, duration=1.5015, sample_time=1.5e-3, noise=1e-6, seed=1)
+    stamped = run.with_({"time": np.round(run.time + 1e-6, 3)})
+    assert completed_spec([stamped], {"settling_time": 0.7}).sample_time == pytest.approx(1.5e-3, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("given", "kp", "reference"),
     [

@@ -359,12 +359,10 @@ class Explorer:
         own = frozenset(hypothesis.causes)
         reached = {frozenset(h.causes): h.total for h in sorted(self.judged, key=by_total, reverse=True)}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
+        plants += otherwise(hypothesis.plant)
         if len(hypothesis.causes) > 1:
-            plants += [
-                *as_good_alone(self.likelihood, hypothesis, self.singles),
-                *kin(self.trials, hypothesis),
-                *otherwise(hypothesis.plant),
-            ]
+            plants += as_good_alone(self.likelihood, hypothesis, self.singles)
+            plants += kin(self.trials, hypothesis)
         others = {
             causes: plant
             for plant in plants

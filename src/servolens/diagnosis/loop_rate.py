@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["decided_beside_loop"]
+__all__ = ["LIKELIER", "decided_beside_loop", "likeliest_beside"]
 
 USUAL = 1.5e-3
 """Sample time up to which a log is taken to hold every tick of its loop [s]: position loops seldom run faster than
@@ -41,8 +41,8 @@ FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
 LIKELIER = 13.8
-"""Difference of −2 log-likelihood from which on a loop is seen to be faster, or a jump at another of its ticks: odds of
-1 to 1000."""
+"""Difference of −2 log-likelihood from which on records are seen to be otherwise than they were read, as of a faster
+loop: odds of 1 to 1000."""
 
 
 def decided_beside_loop(
@@ -82,7 +82,7 @@ def decided_beside_loop(
     with suppress(InputError, NumericalError):
         plain = Case(*own, priors, candidates) if found.case.likelihood.simulates else found.case
         case = Case(others[0], others[1], priors, candidates)
-        if _beside(case, found) < _beside(plain, found) - LIKELIER:
+        if likeliest_beside(case, found) < likeliest_beside(plain, found) - LIKELIER:
             again = _told_of_time_steps(found, decided(case, replace(effort, work=0.5 * effort.work), tell))
             return min(found, again, key=lambda one: (not _explains(one), _simulated_error(one)))
     return found
@@ -139,7 +139,7 @@ def _beside_loop_rate(
     part = replace(effort, work=0.5 * effort.work)
     found.append(decided(likeliest, part, lambda what, share: tell(what, 0.5 + 0.5 * share)))
     if not _explains(found[-1]):
-        again = min((held, *cases), key=lambda case: _beside(case, found[-1]))
+        again = min((held, *cases), key=lambda case: likeliest_beside(case, found[-1]))
         if again is not likeliest and again is not held:
             found.append(decided(again, part, tell))
     found[-1] = _beside_timed_jumps(found[-1], priors, candidates, part, tell)
@@ -263,10 +263,10 @@ def _explains(decision: Decision) -> bool:
     return decision.contradiction is None and decision.case.explains(decision.path[-1])
 
 
-def _beside(case: Case, found: Decision) -> float:
+def likeliest_beside(case: Case, found: Decision) -> float:
     """Return −2 log-likelihood of what was found, fitted to the records of another case.
 
-    Of the causes, or of the likeliest alone: beside a wrong rate others make up for it.
+    Of the causes, or of the likeliest alone: beside what is wrong of the records others make up for it.
     """
     alone = sorted(found.found.singles, key=lambda h: h.total)[:1]
     fits = [case.likelihood.judged(h.plant) for h in (found.path[-1], *alone)]

@@ -12,12 +12,12 @@ from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
-from servolens.diagnosis.loop_rate import decided_beside_loop
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, may_be_nothing, own_quantities, rival_plants
 from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
+from servolens.diagnosis.stepped_voltage import decided_beside_voltage
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError, as_progress, one_of
 from servolens.findings import Finding
@@ -30,7 +30,7 @@ from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.plant import FREE_DAMPING
 from servolens.processors import single_threaded_blas
-from servolens.quality.spikes import mended
+from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -104,10 +104,10 @@ def diagnose(
     check_request(runs, others, known, effort)
     given = (*runs, *others)
     findings = log_findings(given)
-    runs, others = (tuple(map(mended, group)) for group in (runs, others))
+    runs, others = (tuple(map(without_spikes, group)) for group in (runs, others))
     try:
         tell = _never_back(progress)
-        decision = decided_beside_loop(runs, others, known, len(catalogue()), EFFORT[effort], tell)
+        decision = decided_beside_voltage(runs, others, known, len(catalogue()), EFFORT[effort], tell)
         ticks = [record.ticks for record in (*decision.case.records, *decision.case.heldout)]
         is_whole = len(ticks) == len(given)  # no record is left out, as one that was knocked
         if is_whole and ticks != [record.ticks for record in given]:  # their law, too, ran at the ticks that were found

@@ -12,6 +12,7 @@ from servolens.effects._grids import within
 from servolens.effects.base import Axis, parameter
 from servolens.effects.coulomb_friction import CoulombFriction
 from servolens.effects.kinds import DryFriction
+from servolens.effects.position_friction import PositionFriction
 from servolens.effects.return_spring import ReturnSpring
 from servolens.errors import InputError
 
@@ -111,6 +112,17 @@ class FrictionMap(DryFriction):
         stiffness = slope * (KNOTS - 1) / (self.high - self.low)
         level = float(np.mean(0.5 * (up + down)))
         return (CoulombFriction(level=level), ReturnSpring(stiffness=stiffness)) if stiffness > 0.0 else ()
+
+    def simplified(self, seen: Seen) -> Iterator[PositionFriction]:
+        """See :meth:`servolens.effects.base.Effect.simplified`: a tight spot at the knot of the highest level.
+
+        It is about as wide as the triangle there.
+        """
+        up, down = (np.array([getattr(self, name) for name in names]) for names in (POSITIVE, NEGATIVE))
+        level, places = 0.5 * (up + down), np.linspace(self.low, self.high, KNOTS)
+        highest = int(np.argmax(level))
+        width = 0.6 * (self.high - self.low) / (KNOTS - 1)
+        yield within(PositionFriction, level=float(level[highest]), centre=float(places[highest]), width=width)
 
     @classmethod
     def generalised(cls, parts: Sequence[Effect], seen: Seen) -> Iterator[FrictionMap]:

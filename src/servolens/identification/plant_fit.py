@@ -21,12 +21,14 @@ from servolens.identification.options import FitOptions, Prior, wanted
 from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
+from servolens.identification.stepped_voltage import are_steps_felt
 from servolens.inputs import as_effects, as_plant, as_records, check_units, is_model
 from servolens.model import Model, placed
 from servolens.plant import FREE_DAMPING, Plant
 from servolens.processors import single_threaded_blas
-from servolens.quality.spikes import mended
+from servolens.quality.spikes import without_spikes
 from servolens.result import Result
+from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -222,7 +224,17 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     """
     asked = wanted(fixed, bounds, priors, driven=driven, local=local, loss=loss, compared=compared, begin=begin)
     effects, start = _given(plant)
-    runs = tuple(map(mended, as_records(records, settings)))
+    logged = tuple(map(without_spikes, as_records(records, settings)))
+    exact = tuple(map(with_exact_voltage, logged))
+    found = _fitted(effects, start, exact, asked)
+    is_as_logged = are_steps_felt(logged, exact, found.plant, found.options)
+    return _fitted(effects, start, logged, asked) if is_as_logged else found
+
+
+def _fitted(
+    effects: Sequence[Effect | type[Effect]], start: Plant | None, runs: tuple[Record, ...], asked: FitOptions
+) -> Fit:
+    """Return the plant, or these effects, fitted as asked."""
     screen = Screen.of(moving_parts(motion_segments(runs)))
     bare, _ = screen.solve(())
     start = _guessed(effects, bare, screen, asked) if start is None else _as_records_tell(start, bare)

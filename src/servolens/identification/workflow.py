@@ -20,6 +20,7 @@ from servolens.identification.model_error import model_error
 from servolens.identification.options import FitOptions, wanted
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
+from servolens.identification.stepped_voltage import are_steps_felt
 from servolens.identification.varying import VaryingDamping, fit_varying
 from servolens.identification.velocity import fit_velocity, law_left
 from servolens.inputs import as_records
@@ -28,8 +29,9 @@ from servolens.model_evidence import Evidence
 from servolens.plant import FREE_DAMPING, Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
 from servolens.processors import single_threaded_blas
-from servolens.quality.spikes import mended
+from servolens.quality.spikes import without_spikes
 from servolens.result import Result
+from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -248,12 +250,15 @@ def identify(
     >>> round(fit.velocity.plant.gain, 2)
     1.91
     """
-    runs = tuple(map(mended, as_records(records, settings)))
+    logged = tuple(map(without_spikes, as_records(records, settings)))
     _check(model, delta)
     piece = None if piece is None else number_within(piece, -np.inf, np.inf, "piece")
     options = wanted(fixed or {}, bounds, priors)
+    runs = tuple(map(with_exact_voltage, logged))
     segments = motion_segments(runs)
     _check_names(options, segments)
+    if runs != logged and are_steps_felt(logged, runs, fit_constant(segments, options).model.plant, options):
+        runs, segments = logged, motion_segments(logged)
     if model == "varying":
         return _varying_alone(runs, segments, (piece, delta, options))
     constant = fit_constant(segments, options)

@@ -11,7 +11,6 @@ from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.sampling import SPAN, STEPS, measure
-from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["mended", "of_part", "spike_findings", "spikes", "spoilt", "without_spikes"]
+__all__ = ["of_part", "spike_findings", "spikes", "spoilt", "without_spikes"]
 
 LEAST = 1e-4
 """Share of the travel by which a sample must lie off the cubic beside it, however little noise there is."""
@@ -139,11 +138,6 @@ def without_spikes(record: Record, seen: Sampling | None = None) -> Record:
     position = record.position.copy()
     position[places] -= heights
     return record.with_({"position": position})
-
-
-def mended(record: Record) -> Record:
-    """Return `record` as a model is fitted to it: without samples that stick out, its voltage not rounded to steps."""
-    return with_exact_voltage(without_spikes(record))
 
 
 def spoilt(record: Record) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from servolens.design.extrapolation import BEYOND
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.identification.segments import noise_level
+from servolens.inputs import as_it_ran
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -170,10 +171,10 @@ def _no_kp(records: Sequence[Record]) -> str:
 def _loop_of(record: Record) -> dict[str, Any]:
     """Return the fields of the law of a record, but for the gain that is sought."""
     assert record.controller is not None  # noqa: S101 - chosen so
-    loop = record.controller
+    loop, ran = record.controller, as_it_ran(record)
     fields: dict[str, Any] = {
         "kp": loop.kp,
-        "sample_time": float(f"{loop.control_period or record.sample_time:.6g}"),
+        "sample_time": float(f"{loop.control_period or ran.sample_time:.6g}"),
         "derivative_filter": loop.derivative_filter,
         "derivative_window": 1 if loop.derivative == "velocity" else loop.derivative_window,
         "derivative": loop.derivative,
