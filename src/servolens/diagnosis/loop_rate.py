@@ -20,6 +20,7 @@ from servolens.diagnosis.decision import Decision, decided
 from servolens.diagnosis.knocks import KNOCKED
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
+from servolens.identification.hypothesis import LIKELIER
 from servolens.jump_times import with_timed_jumps
 from servolens.prediction import beginning
 from servolens.units import readable
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["LIKELIER", "decided_beside_loop", "likeliest_beside"]
+__all__ = ["decided_beside_loop", "likeliest_beside"]
 
 USUAL = 1.5e-3
 """Sample time up to which a log is taken to hold every tick of its loop [s]: position loops seldom run faster than
@@ -40,9 +41,6 @@ USUAL = 1.5e-3
 FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
-LIKELIER = 13.8
-"""Difference of −2 log-likelihood from which on records are seen to be otherwise than they were read, as of a faster
-loop: odds of 1 to 1000."""
 
 
 def decided_beside_loop(

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.loop_rate import LIKELIER, decided_beside_loop, likeliest_beside
+from servolens.diagnosis.loop_rate import decided_beside_loop, likeliest_beside
 from servolens.encoder import quantisation_step
 from servolens.findings import Finding
+from servolens.identification.hypothesis import LIKELIER
 from servolens.rounded_voltage import with_exact_voltage
 from servolens.units import readable
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.identification.fitting import likelihood_of
-from servolens.identification.hypothesis import NO_BETTER
+from servolens.identification.hypothesis import LIKELIER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +29,7 @@ def are_steps_felt(logged: Sequence[Record], exact: Sequence[Record], plant: Pla
     options : FitOptions
         How.
     """
-    if all(one is other for one, other in zip(logged, exact, strict=True)):
+    if tuple(logged) == tuple(exact):  # the same records, none of them in steps
         return False
     felt, unfelt = (likelihood_of(runs, plant, options).judged(plant) for runs in (logged, exact))
-    return bool(felt and unfelt and felt.total < unfelt.total - NO_BETTER)
+    return bool(felt and unfelt and felt.total < unfelt.total - LIKELIER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Unpack, final
@@ -254,11 +255,9 @@ def identify(
     _check(model, delta)
     piece = None if piece is None else number_within(piece, -np.inf, np.inf, "piece")
     options = wanted(fixed or {}, bounds, priors)
-    runs = tuple(map(with_exact_voltage, logged))
+    _check_names(options, motion_segments(logged))
+    runs = _as_applied(logged, options)
     segments = motion_segments(runs)
-    _check_names(options, segments)
-    if runs != logged and are_steps_felt(logged, runs, fit_constant(segments, options).model.plant, options):
-        runs, segments = logged, motion_segments(logged)
     if model == "varying":
         return _varying_alone(runs, segments, (piece, delta, options))
     constant = fit_constant(segments, options)
@@ -276,6 +275,16 @@ def identify(
     if not left.is_enough:
         told.append(BEYOND_THE_LAW)
     return replace(result, judged=known(_judged(result, told)))
+
+
+def _as_applied(logged: tuple[Record, ...], options: FitOptions) -> tuple[Record, ...]:
+    """Return the records with the voltage that moved the axis, as gain and damping have it, where it is in steps."""
+    exact = tuple(map(with_exact_voltage, logged))
+    if exact != logged:
+        with suppress(NumericalError):  # where the data do not determine these, others may be asked for
+            plant = fit_constant(motion_segments(exact), options).model.plant
+            return logged if are_steps_felt(logged, exact, plant, options) else exact
+    return exact
 
 
 def _check(model: str, delta: float | None) -> None:
