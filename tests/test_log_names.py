@@ -267,10 +267,10 @@ ASKED = {
     "newton metres": ("t,pos,ref,torque\n" + rows(T, Y, R, 1000.1 * U), "N m and mN m are plausible"),
     "a quarter of a millisecond": (
         "t,pos,ref,u\n" + rows(T * 250, Y, R, U),
-        "column 't' has steps of 0.25, which are plausible in ms and in s; say --unit time=ms or --unit time=s",
+        "column 't' has steps of 0.25, which are plausible in ms (4 kHz) and in s (4 Hz); say --unit time=ms or --unit time=s",
     ),
-    "minutes": ("t,pos,ref,u\n" + rows(T / 60, Y, R, U), "are plausible in min and in h and in s; say --unit time=min"),
-    "hours": ("Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U), "are plausible in h and in day and in s"),
+    "minutes": ("t,pos,ref,u\n" + rows(T / 60, Y, R, U), "are plausible in min (1 kHz) and in h (16.7 Hz) and in s (60 kHz); say --unit time=min"),
+    "hours": ("Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U), "are plausible in h (1 kHz) and in day (41.7 Hz) and in s (3600 kHz)"),
     "a few counts": (
         "t,encoder,target,pwm\n" + rows(T, np.round(Y * 80), np.round(R * 80), U),
         "column 'encoder' travels 9 and states no unit: mm, deg, rad and counts are plausible",

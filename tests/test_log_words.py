@@ -242,27 +242,41 @@ def test_stamps_that_are_not_even_stay_as_they_are(tmp_path):
 @pytest.mark.parametrize(
     ("start", "step", "unit", "seconds"),
     [
-        (1_200_000_000_000, 500, "us", 5e-4),
-        (1_200_000_000_000_000, 125_000, "ns", 1.25e-4),
-        (1_600_000_000_000, 250, "us", 2.5e-4),
+        (1_200_000_000_000, 1_000_000, "ns", 1e-3),
+        (1_200_000_000, 4000, "us", 4e-3),
         (1_600_000_000_000, 20, "ms", 0.02),
         (1_700_000_000_000_000_000, 50_000_000, "ns", 0.05),
+        (1_700_000_000_000_000_000, 200_000_000, "ns", 0.2),
         (132_500_000_000_000_000, 500_000, "100 ns", 0.05),
     ],
 )
-def test_a_time_since_switching_on_is_no_date(tmp_path, start, step, unit, seconds):
+def test_a_time_since_switching_on_of_which_a_date_would_make_weeks_is_no_date(tmp_path, start, step, unit, seconds):
     cells = [str(start + step * k) for k in range(T.size)]
     reading = read_log(log(tmp_path, ("timestamp", "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U))
     assert evidence(reading, "time").value == unit
     assert np.diff(reading.record.time) == pytest.approx(seconds, rel=1e-3)
 
 
-@pytest.mark.parametrize(("start", "units"), [(1_600_000_000_000, ("ms", "us")), (1_600_000_000_000_000, ("us", "ns"))])
-def test_a_time_that_is_a_date_or_a_time_since_switching_on_is_a_question(tmp_path, start, units):
-    cells = [str(start + start // 32_000_000_000 * k) for k in range(T.size)]
-    path = log(tmp_path, ("timestamp", "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U)
-    with pytest.raises(InputError, match=f"say --unit time={units[0]} or --unit time={units[1]}$"):
+@pytest.mark.parametrize(
+    ("start", "step", "first", "second"),
+    [
+        (1_600_000_000_000, 50, "ms (20 Hz)", "us (20 kHz)"),
+        (1_600_000_000_000_000, 50_000, "us (20 Hz)", "ns (20 kHz)"),
+        (1_200_000_000_000, 500, "ms (2 Hz)", "us (2 kHz)"),
+        (1_700_000_000_000, 1000, "ms (1 Hz)", "us (1 kHz)"),
+        (1_200_000_000_000_000, 125_000, "us (8 Hz)", "ns (8 kHz)"),
+        (1_700_000_000, 1, "s (1 Hz)", "ms (1 kHz)"),
+    ],
+)
+@pytest.mark.parametrize("name", ["timestamp", "time"])
+def test_a_time_that_is_a_date_or_a_time_since_switching_on_is_a_question(tmp_path, name, start, step, first, second):
+    cells = [str(start + step * k) for k in range(T.size)]
+    path = log(tmp_path, (name, "position [m]", "reference [m]", "voltage [V]"), cells, Y, R, U)
+    units = [reading.partition(" ")[0] for reading in (first, second)]
+    with pytest.raises(InputError) as refused:
         read_log(path)
+    assert f"has steps of {step}, which are plausible in {first} and in {second}; say" in str(refused.value)
+    assert str(refused.value).endswith(" or ".join(f"--unit time={unit}" for unit in units))
 
 
 # ---- small units

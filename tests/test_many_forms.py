@@ -508,7 +508,7 @@ ASKED = [
         "milliseconds or microseconds",
         "a.csv",
         text("t,pos,target,u\n" + lines(T * 5e4, Y, R, U)),
-        "plausible in ms and in us",
+        "plausible in ms (20 Hz) and in us (20 kHz)",
     ),
     (
         "counts without a scale",
@@ -544,7 +544,7 @@ ASKED = [
         "CODESYS V3, no unit of the time",
         "a.trace.csv",
         text(codesys_csv(flags=0, ticks=5e4)),
-        "plausible in ms and in us",
+        "plausible in ms (20 Hz) and in us (20 kHz)",
     ),
     (
         "a command that may be the reference",

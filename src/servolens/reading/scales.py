@@ -48,13 +48,16 @@ DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
 MACHINES = (0.95e9, 4.1e9)
 """Instants that computers' clocks may have logged [s since 1970]: 2000 to 2099."""
 EPOCHS = (
+    ("s", 0.0, "seconds since 1970"),
     ("ms", 0.0, "milliseconds since 1970"),
     ("us", 0.0, "microseconds since 1970"),
     ("ns", 0.0, "nanoseconds since 1970"),
     ("100 ns", 11_644_473_600.0, "100 ns since 1601, FILETIME"),
     ("100 ns", 62_135_596_800.0, "100 ns since the year 1, ticks of .NET"),
 )
-"""How such clocks count beside seconds: their unit, seconds from their beginning to 1970, and what that is called."""
+"""How such clocks count: their unit, seconds from their beginning to 1970, and what that is called."""
+LONGEST_RUN = DAY
+"""Duration of one run of an axis that is believable [s], at whatever rate it was logged."""
 LONGEST_UPTIME = 366 * DAY
 """Time since a computer was switched on that is believable [s]."""
 ROUNDING = 1e-3
@@ -92,7 +95,7 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     if low <= interval <= high:
         return None, "seconds are assumed"
     fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
-    since = _since(float(values[0]), interval)
+    since = _since(values, interval)
     uptimes = [unit for unit in fits if since and unit != since[0] and values[0] * TIMES[unit] <= LONGEST_UPTIME]
     if since and not uptimes:
         return since
@@ -102,11 +105,12 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     if fits and 0 < interval < LONGEST_SAMPLE_TIME:
         if choice.column.name == "time":
             return None, "seconds, as record files have them"
-        fits.append("s")
+        fits = list(dict.fromkeys((*fits, "s")))
     if len(fits) > 1:
         readings = " or ".join(f"--unit time={unit}" for unit in fits)
+        rates = [f"{unit} ({_rate(interval * TIMES.get(unit, 1.0))})" for unit in fits]
         raise InputError(
-            f"column {quote(choice.address)} has steps of {interval:g}, which are plausible in {' and in '.join(fits)};"
+            f"column {quote(choice.address)} has steps of {interval:g}, which are plausible in {' and in '.join(rates)};"
             f" say {readings}"
         )
     if not fits:
@@ -115,13 +119,22 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
 
 
-def _since(first: float, interval: float) -> tuple[str, str] | None:
-    """Return the unit of stamps that count from an epoch, by the date that they then are, and why; None without."""
+def _rate(interval: float) -> str:
+    rate = float(f"{1 / interval:.3g}")
+    return f"{rate:g} Hz" if rate < 1000 else f"{rate / 1000:g} kHz"
+
+
+def _since(values: Values, interval: float) -> tuple[str, str] | None:
+    """Return the unit of stamps that count from an epoch, by the date that they then are, and why; None without.
+
+    However slow the log is, they are dates; but a run that would take weeks is one of a shorter unit.
+    """
+    first, duration = float(values[0]), interval * (values.size - 1)
     for text, before, what in EPOCHS:
         unit = parse_unit(text)
         if unit is None or not MACHINES[0] <= first * unit.factor - before <= MACHINES[1]:
             continue
-        if SAMPLE_TIMES[0] <= interval * unit.factor <= SAMPLE_TIMES[1]:
+        if SAMPLE_TIMES[0] <= interval * unit.factor and duration * unit.factor <= LONGEST_RUN:
             rate = 1 / (interval * unit.factor)
             return text, f"steps of {interval:.6g}, and values that are dates in {what}: {rate:.4g} Hz"
     return None
