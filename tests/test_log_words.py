@@ -63,8 +63,9 @@ def test_headings_in_french_italian_and_spanish_are_read(tmp_path, heads):
             (name, ())
             for name in ("tension", "Belt tension [V]", "tension [N]", "Tension d'alimentation", "velocity error")
         ),
-        *((name, ()) for name in ("Temps de cycle", "consigne de vitesse", "écart [mm]")),
-        *((name, ("velocity",)) for name in ("Tempo", "Velocità", "vitesse")),
+        *((name, ()) for name in ("Temps de cycle", "Tempo di ciclo", "consigne de vitesse", "écart [mm]")),
+        *((name, ("velocity",)) for name in ("Tempo [mm/s]", "Velocità", "vitesse")),
+        ("Tempo", ("time", "velocity")),
         *((name, ("time",)) for name in ("tempo [ms]", "temps_ms")),
         *((name, ("voltage",)) for name in ("tension [V]", "tensione", "Courant moteur")),
     ],
@@ -207,6 +208,25 @@ def test_a_stated_reference_goes_before_an_error(tmp_path):
     path = log(tmp_path, ("time [s]", "error [m]", "position [m]", "voltage [V]"), T, R - Y, Y, U)
     assert np.ptp(read_log(path, settings={"reference": "0.1"}).record.reference) == 0
     assert read_log(path, columns={"reference": "-"}).record.reference is None
+
+
+@pytest.mark.parametrize(
+    "heads",
+    [("time", "tempo", "riferimento", "posizione", "tensione"), ("tempo", "vel", "ref", "pos", "u")],
+)
+def test_of_a_tempo_the_numbers_tell_whether_it_is_a_time_or_a_speed(tmp_path, heads):
+    speed = np.gradient(Y, T)
+    reading = read_log(log(tmp_path, heads, T, speed, R, Y, U))
+    check(reading.record)
+    assert (reading.columns["time"], reading.columns["velocity"]) == heads[:2]
+    assert reading.record.velocity == pytest.approx(speed, abs=1e-4)
+
+
+def test_a_tempo_that_falls_back_is_no_time(tmp_path):
+    path = log(tmp_path, ("tempo", "riferimento", "pos", "u"), np.gradient(Y, T), R, Y, U)
+    with pytest.raises(InputError, match="no column named time; the columns are 'tempo, riferimento, pos, u'"):
+        read_log(path)
+    assert read_log(path, settings={"sample_time": "1 ms"}).columns["velocity"] == "tempo"
 
 
 # ---- clocks of computers

@@ -423,7 +423,7 @@ def _own_clock(tables: Sequence[Table], index: int) -> Values | None:
         return choose([tables[index]], None)["time"].column.values
     except (InputError, KeyError):
         pass
-    named = [c for c in tables[index].columns if meaning(c.name, c.unit).roles == ("time",)]
+    named = [c for c in tables[index].columns if meaning(c.name, c.unit).roles[:1] == ("time",)]
     return named[0].values if named else None
 
 

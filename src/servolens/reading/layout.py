@@ -125,7 +125,7 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     if len(above) > used and _is_names(above[-1 - used], width):
         names = tuple(_padded(above[-1 - used], width))
         properties = {**properties_of(above[: -1 - used]), **stated}
-        has_clocks = names.count(names[0]) > 1 and meaning(names[0]).roles == ("time",)
+        has_clocks = names.count(names[0]) > 1 and meaning(names[0]).roles[:1] == ("time",)
         return Layout(names, units, first, typed, properties, has_clocks=has_clocks)
     numbered = tuple(str(j + 1) for j in range(width))
     last = above[-1] if above else []

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from servolens.reading.roles import Choice
 
-__all__ = ["alike", "increasing", "measured", "moving", "near", "paired"]
+__all__ = ["alike", "increasing", "is_clock", "measured", "moving", "near", "paired"]
 
 SOME = 0.01
 """Share of its steps at which a clock may fall back: at midnight, or where a counter begins again."""
@@ -51,12 +51,13 @@ def moving(left: Sequence[Choice]) -> list[Choice]:
 
 def increasing(left: Sequence[Choice]) -> list[Choice]:
     """Leave out times that are no clock, as that of a cycle, where there is one."""
-
-    def is_clock(values: NDArray[np.float64]) -> bool:
-        known = values[np.isfinite(values)] if values.dtype.kind in "iuf" else values[:0]
-        return known.size > 1 and bool(known[-1] > known[0] and np.mean(np.diff(known) < 0) < SOME)
-
     return [c for c in left if is_clock(c.column.values)] or list(left)
+
+
+def is_clock(values: NDArray[np.float64]) -> bool:
+    """Tell whether values increase all along, but for some instants at which a counter begins again."""
+    known = values[np.isfinite(values)] if values.dtype.kind in "iuf" else values[:0]
+    return known.size > 1 and bool(known[-1] > known[0] and np.mean(np.diff(known) < 0) < SOME)
 
 
 def alike(left: Sequence[Choice]) -> list[Choice]:

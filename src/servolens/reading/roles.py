@@ -11,8 +11,8 @@ import numpy as np
 from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError, as_text, by_name, names_like
 from servolens.reading.files import quote
-from servolens.reading.narrowing import alike, increasing, measured, moving, near, paired
-from servolens.reading.words import Meaning, allows, is_romance, meaning, unit_behind
+from servolens.reading.narrowing import alike, increasing, is_clock, measured, moving, near, paired
+from servolens.reading.words import PACE, Meaning, allows, is_romance, meaning, unit_behind
 from servolens.record import SIGNALS
 from servolens.units import COMMAND_UNITS, parse_unit
 
@@ -247,6 +247,8 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
         and (c.meaning.symbol is symbols or signal == "position")
         and id(c.column) not in taken
     ]
+    if signal == "time" and not left and not symbols:
+        left = [c for c in found if c.meaning.roles == PACE and is_clock(c.column.values)]
     passed = ""
     if signal == "voltage" and left:
         left, passed = _commands(left)
@@ -322,6 +324,7 @@ def _varies(choice: Choice, least: float = SAG) -> bool:
 
 def _decide(found: Sequence[Choice], chosen: dict[str, Choice], absent: set[str]) -> None:
     """Give columns whose names mean two things the one that is left, or the one that the numbers show."""
+    absent = absent | {"time"}  # what increases has been taken for it by now
     for choice in found:
         roles = choice.meaning.roles
         if len(roles) < 2 or any(choice.column is c.column for c in chosen.values()):

@@ -45,9 +45,10 @@ WORDS: Mapping[str, str] = {
         "yaw roll angolo angulo"
     ),
     "velocity": (
-        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
+        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate thetadot phidot qdot "
         "xdot dot dq tacho gyro gyroscope vitesse velocita velocidad velocidade"
     ),
+    "pace": "tempo",
     "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell voltaje",
     "tension": "tension tensione tensao",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
@@ -105,7 +106,7 @@ _ROMANCE = (
     "erreur ecart errore moteur motore "
 )
 ROMANCE = frozenset(_ROMANCE.split())
-"""Words that tell French, Italian and Spanish: beside one "tension" is a voltage, not a pull, and "tempo" a time."""
+"""Words that tell French, Italian and Spanish: beside one "tension" is a voltage, not a pull."""
 OF_ERRORS = frozenset({"following", "lag", "tracking", "control", "suivi", "poursuite", "inseguimento", "seguimiento"})
 """What stands beside the word for an error where that is the loop's: reference less position."""
 LETTERS: Mapping[str, tuple[str, ...]] = {
@@ -189,6 +190,7 @@ SPANS = frozenset(
         "period",
         "task",
         "reponse",
+        "ciclo",
     }
 )
 """Words that make a time one that something takes."""

@@ -37,6 +37,7 @@ __all__ = [
     "BY_NAME",
     "BY_PROTOCOL",
     "DUTY",
+    "PACE",
     "PERHAPS_ODRIVE",
     "Meaning",
     "allows",
@@ -69,6 +70,8 @@ _CONVENTIONS = (
     ),
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
+PACE = ("time", "velocity")
+"""What "tempo" means: a time in Italian and Portuguese, elsewhere a speed. A time increases, which decides."""
 _COMMANDS = ("voltage", "feedforward")
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
@@ -252,15 +255,12 @@ def _known(text: str) -> str | None:
 def _of_language(tokens: tuple[str, ...], unit: str | None, *, romance: bool) -> tuple[str, ...]:
     """Put a word that means one thing in the place of those that mean another thing in each language.
 
-    A tension is a voltage beside Romance words, or in volts where nothing else is said of it, but not in another unit;
-    the tempo is a time where its unit or such words say so.
+    A tension is a voltage beside Romance words, or in volts where nothing else is said of it, but not in another unit.
     """
     stated, volt = parse_unit(unit or ""), parse_unit("V")
     is_plain = romance or all(token in CLASS or token in UNITS or token.isdecimal() for token in tokens)
     is_volts = is_plain and (stated.dimension == volt.dimension if stated and volt else romance)
-    is_time = allows("time", unit or "") if unit else romance
-    words = {"tempo": "time" if is_time else "tempo"}
-    words |= dict.fromkeys(("tension", "tensione", "tensao"), "voltage" if is_volts else "tension")
+    words = dict.fromkeys(("tension", "tensione", "tensao"), "voltage" if is_volts else "tension")
     return tuple(words.get(token, token) for token in tokens)
 
 
@@ -342,6 +342,8 @@ def _roles(
     command = next((kind for kind in COMMANDS if kind in kinds), "")
     if command == "output" and LAWS & set(tokens):
         return ("voltage",), command, False
+    if "pace" in kinds:
+        return (() if asked or SPANS & set(tokens) else PACE), "", False
     is_place = bool({"angle", "position"} & set(kinds))
     if "velocity" in kinds or (is_place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
