@@ -110,8 +110,8 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         readings = " or ".join(f"--unit time={unit}" for unit in fits)
         rates = [f"{unit} ({_rate(interval * TIMES.get(unit, 1.0))})" for unit in fits]
         raise InputError(
-            f"column {quote(choice.address)} has steps of {interval:g}, which are plausible in {' and in '.join(rates)};"
-            f" say {readings}"
+            f"column {quote(choice.address)} has steps of {interval:g}, which are plausible in"
+            f" {' and in '.join(rates)}; say {readings}"
         )
     if not fits:
         return None, "seconds are assumed"

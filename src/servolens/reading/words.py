@@ -147,17 +147,17 @@ def meaning(text: str, unit: str | None = None, *, romance: bool = False) -> Mea
     name, bracketed, where = unit_behind(text)
     unit = bracketed or unit
     tokens = tokens_of(name)
-    tokens = _of_language(tokens, unit or _suffix(tokens)[1], romance=romance or is_romance(text))
+    kept, found = (tokens, unit) if unit else _suffix(tokens)
+    tension = _of_tension(tokens, found, romance=romance or is_romance(text))
     if unit is None:
-        kept, found = _suffix(tokens)
-        said = _judged(name, kept, found, "at the end of its name" if found else "")
+        said = _judged(name, kept, found, "at the end of its name" if found else "", tension)
         is_mark = found == "m" and ANGLES & set(kept)  # theta_m is the motor's, or measured
         if found and (is_mark or not said.roles):  # letters that are no unit of what the words say
-            return _judged(name, tokens, None, "")
+            return _judged(name, tokens, None, "", tension)
         return said
     if not bracketed:
         where = "stated beside its name"
-    return _judged(name, tokens, unit, where)
+    return _judged(name, tokens, unit, where, tension)
 
 
 def is_romance(text: str) -> bool:
@@ -252,16 +252,12 @@ def _known(text: str) -> str | None:
     return UNITS.get(spoken)
 
 
-def _of_language(tokens: tuple[str, ...], unit: str | None, *, romance: bool) -> tuple[str, ...]:
-    """Put a word that means one thing in the place of those that mean another thing in each language.
-
-    A tension is a voltage beside Romance words, or in volts where nothing else is said of it, but not in another unit.
-    """
+def _of_tension(tokens: tuple[str, ...], unit: str | None, *, romance: bool) -> str:
+    """Return what a tension is: a voltage beside Romance words, or in volts where nothing else is said of it."""
     stated, volt = parse_unit(unit or ""), parse_unit("V")
     is_plain = romance or all(token in CLASS or token in UNITS or token.isdecimal() for token in tokens)
-    is_volts = is_plain and (stated.dimension == volt.dimension if stated and volt else romance)
-    words = dict.fromkeys(("tension", "tensione", "tensao"), "voltage" if is_volts else "tension")
-    return tuple(words.get(token, token) for token in tokens)
+    is_volts = stated.dimension == volt.dimension if stated and volt else romance
+    return "voltage" if is_plain and is_volts else "tension"
 
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
@@ -284,8 +280,8 @@ def _convention(name: str) -> tuple[str, str] | None:
     return next(((unit, whose) for form, unit, whose in _CONVENTIONS if form.fullmatch(name.lower())), None)
 
 
-def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
-    kinds = _kinds(tokens)
+def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str, tension: str) -> Meaning:
+    kinds = [tension if kind == "tension" else kind for kind in _kinds(tokens)]
     rest = frozenset(token for token, kind in zip(tokens, kinds, strict=True) if kind in ("", "neutral"))
     rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
     implied = next((IMPLIED[token] for token in tokens if token in IMPLIED), None)
@@ -297,8 +293,8 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
         return Meaning(("time",), UNITS[tokens[0]], tokens[0], BY_NAME, symbol=True)
     asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
     symbols = [token for token in tokens if token in LETTERS]
-    spoken = zip(tokens_of(name), kinds, strict=False)  # without the unit at its end
-    words = " ".join(token for token, kind in spoken if kind and kind != "neutral") or " ".join(symbols)
+    spoken = [token for token, kind in zip(tokens, kinds, strict=True) if kind and kind != "neutral"]
+    words = " ".join(spoken or symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
     if symbol and not roles:
         words = ""  # a symbol of which only its owner knows what it is
@@ -342,11 +338,9 @@ def _roles(
     command = next((kind for kind in COMMANDS if kind in kinds), "")
     if command == "output" and LAWS & set(tokens):
         return ("voltage",), command, False
-    if "pace" in kinds:
-        return (() if asked or SPANS & set(tokens) else PACE), "", False
     is_place = bool({"angle", "position"} & set(kinds))
-    if "velocity" in kinds or (is_place and "dot" in tokens):
-        return (() if asked else ("velocity",)), "", False
+    if {"velocity", "pace"} & set(kinds) or (is_place and "dot" in tokens):
+        return (() if asked else _of_speed(tokens, kinds)), "", False
     if "direction" in kinds:
         return (), "direction", False
     if command in ("voltage", "output") and SENSORS & set(tokens):
@@ -356,6 +350,12 @@ def _roles(
     if command or "current" in tokens:
         return ("voltage",), command or "current", False
     return _bare(tokens, kinds, symbols, measured=measured)
+
+
+def _of_speed(tokens: Sequence[str], kinds: Sequence[str]) -> tuple[str, ...]:
+    if "pace" not in kinds:
+        return ("velocity",)
+    return () if SPANS & set(tokens) else PACE
 
 
 def _is_error_of_position(tokens: Sequence[str], kinds: Sequence[str]) -> bool:
