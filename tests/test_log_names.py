@@ -267,10 +267,30 @@ ASKED = {
     "newton metres": ("t,pos,ref,torque\n" + rows(T, Y, R, 1000.1 * U), "N m and mN m are plausible"),
     "a quarter of a millisecond": (
         "t,pos,ref,u\n" + rows(T * 250, Y, R, U),
-        "column 't' has steps of 0.25, which are plausible in ms (4 kHz) and in s (4 Hz); say --unit time=ms or --unit time=s",
+        "column 't' has steps of 0.25, which are plausible in ms (4 kHz) and in s (4 Hz); say --unit time=ms or --unit"
+        " time=s",
     ),
-    "minutes": ("t,pos,ref,u\n" + rows(T / 60, Y, R, U), "are plausible in min (1 kHz) and in h (16.7 Hz) and in s (60 kHz); say --unit time=min"),
-    "hours": ("Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U), "are plausible in h (1 kHz) and in day (41.7 Hz) and in s (3600 kHz)"),
+    "minutes": (
+        "t,pos,ref,u\n" + rows(T / 60, Y, R, U),
+        "are plausible in min (1 kHz) and in h (16.7 Hz) and in s (60 kHz); say --unit time=min",
+    ),
+    "hours": (
+        "Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U),
+        "are plausible in h (1 kHz) and in day (41.7 Hz) and in s (3600 kHz)",
+    ),
+    "an axis that never moves, without a unit": (
+        "t,soll,ist,u\n" + rows(T, R * 1e3, 0 * Y + 37, U),
+        "column 'ist', the position, is 37 throughout; check the sensor, log a step, or name another column, e.g."
+        " --column position=NAME",
+    ),
+    "an axis that never moves, a direction": (
+        "t,pos,pwm,dir\n" + rows(T, 0 * Y, np.abs(U), U > 0),
+        "column 'pos', the position, is 0 throughout; check the sensor, log a step",
+    ),
+    "an axis that never moves, two readings of another": (
+        "t,qd,q,u\n" + rows(T, R, 0 * Y, U),
+        "column 'q', the position, is 0 throughout; check the sensor, log a step",
+    ),
     "a few counts": (
         "t,encoder,target,pwm\n" + rows(T, np.round(Y * 80), np.round(R * 80), U),
         "column 'encoder' travels 9 and states no unit: mm, deg, rad and counts are plausible",

@@ -14,7 +14,18 @@ from servolens.reading.completed import held, referred, signed
 from servolens.reading.contradictions import check_choices, check_units_of_names
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
-from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, candidates, check_mapping, choose, typed, unknown
+from servolens.reading.roles import (
+    MOST_SHOWN,
+    NAMED,
+    NONE,
+    Choice,
+    candidates,
+    check_mapping,
+    choose,
+    moving_axis,
+    typed,
+    unknown,
+)
 from servolens.reading.scales import (
     FASTEST_AXIS,
     LONGEST_AXIS,
@@ -110,28 +121,29 @@ def interpret(
     InputError
         With one sentence: what is missing, or both readings where two are plausible.
     """
-    tables = [with_clock(table, settings) for table in tables if table.columns]
+    given = {key: value for key, value in (settings or {}).items() if value is not None}
+    tables = [with_clock(table, given) for table in tables if table.columns]
     if not tables:
         raise InputError("holds no columns of numbers")
     chosen, remarks = held(choose(tables, columns))
     check_choices(tables, chosen, candidates(tables))
-    chosen, of_sign = signed(chosen, tables)
-    remarks += [*of_sign, *dict.fromkeys(remark for table in tables for remark in table.remarks)]
     comments = {key: value for table in tables for key, value in table.comments.items()}
-    gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
-    stated = check_mapping(units, "units", "mm")
-    found = _units(chosen, stated, tables, {**comments, **gains, **(settings or {})})
+    gains = _constant_gains(tables, chosen["position"].table, {**comments, **given})
+    stated, known = check_mapping(units, "units", "mm"), {**comments, **gains, **given}
+    with moving_axis(chosen["position"]):
+        chosen, of_sign = signed(chosen, tables)
+        found = _units(chosen, stated, tables, known)
+    remarks += [*of_sign, *dict.fromkeys(remark for table in tables for remark in table.remarks)]
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
-    if "reference" not in {*chosen, *(columns or {})} and not _states_reference({**comments, **(settings or {})}):
+    if "reference" not in {*chosen, *(columns or {})} and not _states_reference(known):
         remarks += _take_reference(chosen, found, tables, stated.get("reference"))
     _check_numbers(chosen)
-    remarks += _about_length(chosen, found, known := {**comments, **gains, **_given(settings)})
-    if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
-        _check_stated(tables)
+    remarks += _about_length(chosen, found, known)
+    if not {"reference", "voltage"} & set(chosen) and not _states_reference(known):
+        _refuse_undriven(tables)
     if "voltage" not in {*chosen, *(columns or {})} and ("kp" in known or not GAINS_BESIDE & set(known)):
         remarks += _about_command(tables, chosen, knows_gains="kp" in known)
-    texts = {signal: text for signal, (text, _) in found.items()}
-    signals, texts = _on_one_clock(chosen, tables, texts)
+    signals, texts = _on_one_clock(chosen, tables, {signal: text for signal, (text, _) in found.items()})
     signals["time"], wrapped = unwrapped(signals["time"], _factor(texts["time"]))
     if wrapped:
         remarks.append(Finding(code="clock_wrapped", severity="note", message=wrapped))
@@ -139,10 +151,8 @@ def interpret(
         choice.column.origin or _guess(signal, choice, found[signal], by_caller=signal in stated)
         for signal, choice in chosen.items()
     ]
-    guesses += [
-        Guess(quantity=key, source=key, value=value, evidence="a column that holds one value")
-        for key, value in gains.items()
-    ]
+    why = "a column that holds one value"
+    guesses += [Guess(quantity=key, source=key, value=value, evidence=why) for key, value in gains.items()]
     return Interpretation(
         signals=signals,
         units=texts,
@@ -151,7 +161,7 @@ def interpret(
         columns={signal: c.address for signal, c in chosen.items() if signal == "time" or not c.column.origin}
         | {signal: NONE for signal, name in (columns or {}).items() if name == NONE},
         remarks=tuple(remarks),
-        found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
+        found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *given},
     )
 
 
@@ -165,18 +175,12 @@ def _take_reference(
     return remarks
 
 
-def _given(settings: Mapping[str, object] | None) -> dict[str, object]:
-    return {key: value for key, value in (settings or {}).items() if value is not None}
-
-
 def _states_reference(settings: Mapping[str, object]) -> bool:
     return any(settings.get(key) is not None for key in ("reference", "reference_file"))
 
 
-def _check_stated(tables: Sequence[Table]) -> None:
-    """Refuse a log without reference and command, unless a comment states the reference."""
-    if any({"reference", "reference_file"} & set(table.comments) for table in tables):
-        return
+def _refuse_undriven(tables: Sequence[Table]) -> None:
+    """Refuse a log without reference and command, of which none is stated."""
     names = quote(", ".join(column.name for table in tables for column in table.columns))
     raise InputError(
         f"neither reference nor voltage is given, and none of the columns {names} is named so; name one, e.g. --column"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -17,13 +18,13 @@ from servolens.record import SIGNALS
 from servolens.units import COMMAND_UNITS, parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from servolens.reading.table import Column, Table
 
-__all__ = ["Choice", "candidates", "check_mapping", "choose", "offer", "turns", "typed", "unknown"]
+__all__ = ["Choice", "candidates", "check_mapping", "choose", "moving_axis", "offer", "turns", "typed", "unknown"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -124,12 +125,39 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
         for signal in ORDER:
             if signal not in (*chosen, *absent) and (choice := _pick(signal, found, chosen, symbols)):
                 chosen[signal] = choice
-    _decide(found, chosen, absent)
+    with moving_axis(chosen.get("position")):
+        _decide(found, chosen, absent)
     if "time" not in chosen and (clock := _clock(found, chosen.get("position"))):
         chosen["time"] = clock
     _check_supply(chosen, found, mapping)
     _check_found(chosen, found)
     return {signal: chosen[signal] for signal in SIGNALS if signal in chosen}
+
+
+@contextmanager
+def moving_axis(position: Choice | None) -> Iterator[None]:
+    """Say of an axis that never moves just that, in the place of a question: no answer makes its log useful.
+
+    Parameters
+    ----------
+    position : Choice or None
+        Column of the position, None where there is none.
+
+    Raises
+    ------
+    InputError
+        In the place of one from within, where the position is the same number throughout.
+    """
+    try:
+        yield
+    except InputError:
+        values = position.column.values if position else np.empty(0)
+        if position is None or values.size < 2 or not np.all(values == values[0]):
+            raise
+        raise InputError(
+            f"column {quote(position.label)}, the position, is {0.0 + float(values[0]):g} throughout; check the"
+            " sensor, log a step, or name another column, e.g. --column position=NAME"
+        ) from None
 
 
 def check_mapping(mapping: Mapping[str, str] | None, what: str, example: str) -> dict[str, str]:
