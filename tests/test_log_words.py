@@ -164,8 +164,46 @@ def test_an_error_in_an_unknown_unit_makes_no_reference(tmp_path, heads, factor)
     assert "add up to more noise than a reference has" in remark.message
 
 
-def test_a_position_that_an_error_fits_in_its_unit_alone_is_told_to_state_it(tmp_path):
-    heads = ("t", "e [mm]", "pos", "u")
+@pytest.mark.parametrize(
+    ("own", "of_error", "of_position", "unit"),
+    [
+        ("mm", 5.0, 5.0, "mm"),
+        ("mm", 5e3, 5e3, "mm"),
+        ("m", 1.0, 1e3, "mm"),
+        ("deg", 90.0, 90.0, "deg"),
+        ("rad", 1.0, 180 / np.pi, "deg"),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_position_s_unit_is_the_one_in_which_its_noise_is_that_of_an_error(
+    tmp_path, own, of_error, of_position, unit, sign
+):
+    path = log(tmp_path, ("t", f"e [{own}]", "pos", "u"), T, sign * of_error * (R - Y), of_position * Y, U)
+    reading = read_log(path)
+    assert evidence(reading, "position").value == unit
+    assert evidence(reading, "position").evidence == f"the word 'pos'; its noise is that of 'e' [{own}]"
+    factor = of_error * {"mm": 1e-3, "deg": np.pi / 180}.get(own, 1.0)
+    assert reading.record.reference == pytest.approx(factor * R, abs=1e-6 * max(factor, 1))
+
+
+@pytest.mark.parametrize("counts", [1e5, 1e4])
+def test_an_error_in_whole_numbers_is_asked_what_one_is(tmp_path, counts):
+    path = log(tmp_path, ("t", "error", "pos_mm", "u"), T, np.round(counts * (R - Y)), 1e3 * Y, U)
+    (remark,) = (one for one in read_log(path).record.remarks if one.code == "error_not_used")
+    assert remark.message == (
+        "no reference was made of the column 'error': it holds whole numbers and states no unit: say what one is, e.g."
+        " --unit 'reference=0.01 mm'. If it is reference less position, log the reference."
+    )
+
+
+def test_an_error_in_whole_numbers_makes_the_reference_in_the_unit_that_is_stated(tmp_path):
+    path = log(tmp_path, ("t", "error", "pos_mm", "u"), T, np.round(1e7 * (R - Y)), 1e3 * Y, U)
+    reading = read_log(path, units={"reference": "0.0001 mm"})
+    assert reading.record.reference == pytest.approx(R, abs=2e-6)
+
+
+def test_a_record_file_whose_position_an_error_fits_in_its_unit_alone_is_told_to_state_it(tmp_path):
+    heads = ("time", "e [mm]", "position", "voltage")
     path = log(tmp_path, heads, T, 5 * (R - Y), 5 * Y, U)
     (remark,) = (one for one in read_log(path).record.remarks if one.code == "error_not_used")
     assert "say --unit position=mm" in remark.message

@@ -14,7 +14,7 @@ from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.narrowing import alike, near
 from servolens.reading.roles import candidates, turns, typed
-from servolens.reading.scales import VELOCITY_AGREES, travel_of
+from servolens.reading.scales import VELOCITY_AGREES, is_counted, travel_of
 from servolens.reading.words import allows, meaning
 from servolens.units import parse_unit
 
@@ -28,8 +28,12 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["held", "referred", "signed"]
+__all__ = ["held", "length_by_error", "referred", "signed"]
 
+PLAIN_LENGTHS = ("m", "rad", "mm", "deg")
+"""Units of positions that are plausible where none is stated."""
+WHOLE = "it holds whole numbers and states no unit: say what one is, e.g. --unit 'reference=0.01 mm'"
+"""Why no reference is made of a counted error beside a position that is not."""
 HELD = ("reference", "feedforward", "enabled")
 """Signals that keep their value until a new one is set."""
 MOVING = 0.1
@@ -263,7 +267,9 @@ def referred(
     scales = {own: _per_error(unit, own) for own in ((given,) if given else (unit, _si_of(unit)))}
     fitting = [(own, scale) for own, scale in scales.items() if scale is not None and _is_left_of(scale * y, e)]
     if not fitting:
-        return None, _not_used(error, _why_not(unit, scales, y, e), is_needed=is_needed)
+        is_counted_alone = given is None and error.column.is_integer and not position.column.is_integer
+        why = WHOLE if is_counted_alone else _why_not(unit, scales, y, e)
+        return None, _not_used(error, why, is_needed=is_needed)
     own, scale = fitting[0]
     how = "go together" if work > 0 else "are opposed"
     evidence = f"no reference is logged; error and speed {how} (r = {abs(work):.2f})"
@@ -271,6 +277,30 @@ def referred(
     origin = Guess(quantity="reference", source=source, value=own or "", evidence=evidence)
     column = replace(error.column, name=source, values=scale * y + e, unit=own, origin=origin)
     return replace(error, column=column), []
+
+
+def length_by_error(chosen: Mapping[str, Choice], tables: Sequence[Table]) -> dict[str, tuple[str, str]]:
+    """Return the position's unit, where it states none, by the error beside it that states one, and why.
+
+    Empty where the error holds the position's noise in none of the units that an axis without one is asked about.
+
+    Parameters
+    ----------
+    chosen : mapping of str to Choice
+        The columns of the signals.
+    tables : sequence of Table
+        Of the file.
+    """
+    position = chosen["position"]
+    error = _error_beside(position, chosen, tables)
+    if error is None or error.unit is None:
+        return {}
+    y, e = position.column.values, error.column.values
+    for unit in dict.fromkeys((error.unit, *PLAIN_LENGTHS)):
+        scale = _per_error(unit, error.unit)
+        if scale is not None and (_is_left_of(scale * y, e) or _is_left_of(scale * y, -e)):
+            return {"position": (unit, f"its noise is that of {quote(error.address)} [{error.unit}]")}
+    return {}
 
 
 def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequence[Table]) -> Choice | None:
@@ -283,7 +313,7 @@ def _error_beside(position: Choice, chosen: Mapping[str, Choice], tables: Sequen
         and id(choice.column) not in taken
         and choice.column.values.size == size
         and travel_of(choice.column.values) > 0
-        and (position.column.is_integer or not choice.column.is_integer)  # no flag, no code
+        and (not choice.column.is_integer or position.column.is_integer or is_counted(choice.column))  # no flag
         and (choice.unit is None or allows("position", choice.unit))
     ]
     found = alike(near(found, position)) if found else []

@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.clock import unwrapped, with_clock
-from servolens.reading.completed import held, referred, signed
+from servolens.reading.completed import held, length_by_error, referred, signed
 from servolens.reading.contradictions import check_choices, check_units_of_names
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
@@ -251,6 +251,9 @@ def _units(
         check_units_of_names(signal, choice, names)
         if choice.unit is not None and (choice.meaning.where in SURE_UNITS or _may_be(choice, signal)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
+    is_open = "position" not in found and "reference" not in chosen and not _is_record(chosen)
+    if is_open and not (_has_counts(settings) or _states_length(settings)):
+        found |= length_by_error(chosen, tables)
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:
             unit = _unstated(signal, chosen, found, settings)
