@@ -551,7 +551,7 @@ def test_a_sensor_s_voltage_needs_its_scale(tmp_path):
 
 
 def test_oscilloscope_is_asked_for_its_channels(tmp_path):
-    said = "no column named position; the columns are 'Source, CH1, CH2, CH3' (map names of your own, e.g. --column"
+    said = "no column named position; the columns are 'Source, CH1, CH2, CH3' (say which column it is, e.g. --column"
     assert refusal(tmp_path, READ["Siglent"][0]).startswith(said)
 
 
@@ -799,3 +799,37 @@ def test_channels_without_names_are_asked_about(tmp_path):
 def test_what_only_looks_like_a_table_of_json_is_refused(tmp_path, content):
     with pytest.raises(InputError):
         read_log(written(tmp_path, json.dumps(content)))
+
+
+# ---- columns without names, and what only begins as JSON does
+
+
+def test_a_column_without_a_name_is_offered_by_its_number(tmp_path):
+    content = ",ref,pos,u\n" + rows(T, R, Y, U)
+    assert refusal(tmp_path, content) == (
+        "no column named time; the columns are '1, ref, pos, u' (say which by name or number, e.g. --column time=1, or"
+        " for rows at even times --setting 'sample_time=1 ms')"
+    )
+    assert read_log(written(tmp_path, content), columns={"time": "1"}).record.time == pytest.approx(T)
+    counted = ",t,ref,pos\n" + rows(np.arange(T.size), T, R, Y)
+    assert "no voltage is logged and the gains are unknown" in refusal(tmp_path, counted)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            "[0 ms] pos: 0.1\n[1 ms] pos: 0.2\n",
+            "begins as JSON does, but is none from line 1, column 4 on; export it again",
+        ),
+        ('{"name": "axis"}', "is JSON without arrays of numbers; write one for each signal, as time and position"),
+    ],
+    ids=["stamps in brackets", "no arrays"],
+)
+def test_what_only_begins_as_json_does_is_told_so(tmp_path, content, said):
+    assert refusal(tmp_path, content).startswith(said)
+
+
+def test_texts_among_columns_without_names_are_told_as_no_numbers(tmp_path):
+    content = "".join(f"axis {t:g} {y:g}\n" for t, y in zip(T, Y, strict=True))
+    assert "has no row that names its 3 columns, which begin with no number, 0, " in refusal(tmp_path, content)

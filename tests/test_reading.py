@@ -46,8 +46,8 @@ NAMELESS = (
     "has no row that names its {} columns, which begin with {}; name them in their order, e.g."
     " --columns time,position,voltage (- for one that is not needed)"
 )
-MAP = " (map names of your own, e.g. --column position=NAME)"
-CLOCKLESS = " (map names of your own, e.g. --column time=NAME, or for rows at even times --setting 'sample_time=1 ms')"
+MAP = " (say which column it is, e.g. --column position=NAME)"
+CLOCKLESS = " (say which column it is, e.g. --column time=NAME, or for rows at even times --setting 'sample_time=1 ms')"
 PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
 SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS

@@ -35,20 +35,25 @@ def read_json(content: bytes) -> tuple[Table, ...]:
     except InputError:
         raise
     except UnicodeDecodeError as error:
-        raise InputError(f"is not UTF-8 text (byte {error.start})") from error
+        raise InputError(f"is JSON, but no UTF-8 text from byte {error.start} on; save it in UTF-8") from error
     except json.JSONDecodeError as error:
-        raise InputError(f"is not valid JSON (line {error.lineno}, column {error.colno})") from error
+        raise InputError(
+            f"begins as JSON does, but is none from line {error.lineno}, column {error.colno} on; export it again, or"
+            " as a table in CSV"
+        ) from error
     except (RecursionError, ValueError) as error:
-        raise InputError("is not valid JSON: nested too deep, or a number too long") from error
+        raise InputError(
+            "is JSON that is nested too deep, or has a number that is too long; export it as CSV"
+        ) from error
     schema = tree.get("schema") if isinstance(tree, dict) else None
     if isinstance(schema, str) and schema.startswith("servolens."):
         raise InputError(f"is a result that servolens wrote ({schema[:40]}); give the log that it was made from")
     try:
         tables = tables_of(tree)
     except RecursionError as error:
-        raise InputError("is JSON that is nested too deep") from error
+        raise InputError("is JSON that is nested too deep; export it as CSV") from error
     if not tables:
-        raise InputError("is JSON without arrays of numbers")
+        raise InputError("is JSON without arrays of numbers; write one for each signal, as time and position")
     return tables
 
 

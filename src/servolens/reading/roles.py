@@ -189,7 +189,7 @@ def unknown(tables: Sequence[Table], chosen: Mapping[str, Choice]) -> list[Choic
         if c.table == home
         and id(c.column) not in taken
         and c.column.fault is c.column.switches is None
-        and c.label
+        and c.column.name.strip()
         and not c.meaning.words
         and np.ptp(c.column.values) > 0
         and _may_command(c.unit)
@@ -221,7 +221,7 @@ def candidates(tables: Sequence[Table]) -> list[Choice]:
     inside = Counter((i, name) for i, _, name in plain)
 
     def address(number: int, table: int, name: str) -> str:
-        if inside[table, name] > 1 and str(number) not in everywhere:
+        if (not name or inside[table, name] > 1) and str(number) not in everywhere:
             return str(number)
         return f"{tables[table].name}/{name}" if everywhere[name] > inside[table, name] else name
 
@@ -421,7 +421,8 @@ def typed(name: str) -> str:
 
 def _nameless(tables: Sequence[Table]) -> str:
     columns = tables[0].columns
-    begins = ", ".join(f"{column.values[0]:.4g}" for column in columns[:6] if column.values.size)
+    starts = [float(column.values[0]) for column in columns[:6] if column.values.size]
+    begins = ", ".join(f"{start:.4g}" if np.isfinite(start) else "no number" for start in starts)
     return (
         f"has no row that names its {len(columns)} columns, which begin with {begins}; name them in their order, e.g."
         " --columns time,position,voltage (- for one that is not needed)"
@@ -435,10 +436,10 @@ def _clockless(missing: Sequence[str]) -> str:
 def _check_found(chosen: Mapping[str, Choice], found: Sequence[Choice]) -> None:
     missing = [signal for signal in ("time", "position") if signal not in chosen]
     if missing:
-        numbered = next((c.address for c in found if c.address != c.label), None)
+        numbered = next((c.address for c in found if c.address != c.label or not c.column.name.strip()), None)
         how = f"say which by name or number, e.g. --column {missing[0]}={numbered}"
         if numbered is None:
-            how = f"map names of your own, e.g. --column {missing[0]}=NAME"
+            how = f"say which column it is, e.g. --column {missing[0]}=NAME"
         raise InputError(
             f"no column named {' and none named '.join(missing)}; {offer(found)} ({how}{_clockless(missing)})"
         )
