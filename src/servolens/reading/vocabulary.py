@@ -30,54 +30,49 @@ __all__ = [
     "WORDS",
 ]
 
-WORDS: Mapping[str, str] = {
+_COMMON: Mapping[str, str] = {
     "time": (
         "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
-        "nanos datetime secs temps tiempo horodatage"
+        "nanos datetime secs temps"
     ),
     "position": (
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
         "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos "
-        "posizione posicion posicao deplacement spostamento desplazamiento"
     ),
     "angle": (
         "angle angles angular ang rotary rotational winkel rotation drehwinkel heading azimuth azimut elevation pitch "
-        "yaw roll angolo angulo"
+        "yaw roll"
     ),
     "velocity": (
         "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate thetadot phidot qdot "
-        "xdot dot dq tacho gyro gyroscope vitesse velocita velocidad velocidade"
+        "xdot dot dq tacho gyro gyroscope"
     ),
     "pace": "tempo",
-    "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell voltaje",
-    "tension": "tension tensione tensao",
+    "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
+    "tension": "tension",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
-    "current": "strom amps ampere iq courant corrente corriente",
-    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort couple coppia",
-    "force": "force kraft thrust forza fuerza",
+    "current": "strom amps ampere iq",
+    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort couple",
+    "force": "force kraft thrust",
     "output": (
         "u output out op co dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand"
     ),
-    "either": "command cmd commanded commande comando mando",
+    "either": "command cmd commanded",
     "input": "input eingang",
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action rpos traj plan planned planner consigne riferimento referencia consigna desiderata "
-        "desiderato deseada deseado desiree desejada"
+        "leitwert set action rpos traj plan planned planner"
     ),
     "actual": (
         "actual act pv ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
-        "est sensor real mess messwert gemessen response regelgroesse observation state mesure mesuree misura misurata "
-        "misurato medida medido reelle reale"
+        "est sensor real mess messwert gemessen response regelgroesse observation state "
+        "reelle reale"
     ),
     "feedforward": "feedforward ff vorsteuerung",
     "direction": "dir direction richtung drehrichtung vorzeichen",
     "enabled": "enabled enable freigabe",
-    "error": (
-        "error err e abweichung deviation regelabweichung regeldifferenz schleppfehler schleppabstand fehler erreur "
-        "ecart errore"
-    ),
+    "error": "error err e abweichung deviation regelabweichung regeldifferenz schleppfehler schleppabstand fehler",
     "other": (
         "following lag delta diff difference differenz alimentation alimentazione alimentacion "
         "temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
@@ -94,19 +89,30 @@ WORDS: Mapping[str, str] = {
         "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
         "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
         "tisch"
-        " moteur motore axe asse eje de del di du della chariot carrello carro"
+        " axe asse eje de del di du della chariot carrello carro"
         " achs achsen kolben zylinder ventil greifer vorschub kran katz spindel tisch stoessel wellen kreuz roboter"
     ),
 }
-_ROMANCE = (
-    "tiempo horodatage posizione posicion posicao tensao velocidade desiree desejada deplacement "
-    "spostamento desplazamiento angolo angulo vitesse velocita velocidad tensione voltaje courant "
-    "corrente corriente coppia forza fuerza commande comando mando consigne riferimento referencia "
-    "consigna desiderata desiderato deseada deseado mesure mesuree misura misurata misurato medida medido "
-    "erreur ecart errore moteur motore "
-)
-ROMANCE = frozenset(_ROMANCE.split())
+_ROMANCE: Mapping[str, str] = {
+    "time": "tiempo horodatage",
+    "position": "posizione posicion posicao deplacement spostamento desplazamiento",
+    "angle": "angolo angulo",
+    "velocity": "vitesse velocita velocidad velocidade",
+    "voltage": "voltaje",
+    "tension": "tensione tensao",
+    "current": "courant corrente corriente",
+    "torque": "coppia",
+    "force": "forza fuerza",
+    "either": "commande comando mando",
+    "reference": "consigne riferimento referencia consigna desiderata desiderato deseada deseado desiree desejada",
+    "actual": "mesure mesuree misura misurata misurato medida medido",
+    "error": "erreur ecart errore",
+    "neutral": "moteur motore",
+}
+ROMANCE = frozenset(" ".join(_ROMANCE.values()).split())
 """Words that tell French, Italian and Spanish: beside one "tension" is a voltage, not a pull."""
+WORDS: Mapping[str, str] = {kind: f"{words} {_ROMANCE.get(kind, '')}" for kind, words in _COMMON.items()}
+"""Words by what they say."""
 OF_ERRORS = frozenset({"following", "lag", "tracking", "control", "suivi", "poursuite", "inseguimento", "seguimiento"})
 """What stands beside the word for an error where that is the loop's: reference less position."""
 LETTERS: Mapping[str, tuple[str, ...]] = {
