@@ -833,3 +833,23 @@ def test_what_only_begins_as_json_does_is_told_so(tmp_path, content, said):
 def test_texts_among_columns_without_names_are_told_as_no_numbers(tmp_path):
     content = "".join(f"axis {t:g} {y:g}\n" for t, y in zip(T, Y, strict=True))
     assert "has no row that names its 3 columns, which begin with no number, 0, " in refusal(tmp_path, content)
+
+
+# ---- what LabVIEW, Excel and Rigol write
+
+
+def labview(columns, body):
+    head = f"LabVIEW Measurement\t\nSeparator\tTab\nX_Columns\t{columns}\n***End_of_Header***\t\n\t\nChannels\t3\n"
+    head += "Y_Unit_Label\tmm\tmm\tV\nX0\t0\t0\t0\nDelta_X\t1.000000\t1.000000\t1.000000\n***End_of_Header***\n"
+    return head + "X_Value\tSoll\tIst\tSpannung\tComment\n" + body
+
+
+def test_times_that_labview_logs_go_before_the_step_that_it_states(tmp_path):
+    body = rows(T, 1e3 * R, 1e3 * Y, U, separator="\t")
+    reading = read_log(written(tmp_path, labview("One", body)))
+    assert reading.record.time == pytest.approx(T, abs=1e-9)
+    assert notes(reading)["sample_time_not_taken"] == (
+        "the times in the column 'X_Value' are not those of the stated 'delta_x', 1 s; the column was taken."
+    )
+    reading = read_log(written(tmp_path, labview("One", body)), settings={"sample_time": "2 ms"})
+    assert reading.record.time == pytest.approx(2 * T, abs=1e-9)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.scales import DAY
 from servolens.reading.table import Column, Table
@@ -15,7 +17,7 @@ from servolens.reading.words import unit_behind
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -31,6 +33,8 @@ _INTERVALS = {
 """What preambles call the sample time, and its unit where none stands there."""
 _STARTS = {"delta_x": "x0", "increment": "start"}
 """What they call the first instant beside it."""
+_LABVIEW = ("delta_x", "x_value")
+"""What LabVIEW calls the step and the column of its times, both in seconds."""
 _PARTS = {
     **dict.fromkeys(("nanoseconds", "nanosecs", "nanosec", "nsecs", "nsec"), 1e-9),
     **dict.fromkeys(("microseconds", "microsecs", "microsec", "usecs", "usec"), 1e-6),
@@ -46,6 +50,9 @@ LONGEST_STEP = 2.0
 
 def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     """Add the time to a table that states its sample time instead of logging it, or logs it in two parts.
+
+    LabVIEW's logged time goes before its stated step where they differ by a sample or more: it states 1 s where a
+    program writes sample by sample.
 
     Parameters
     ----------
@@ -65,10 +72,38 @@ def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     # a number names the column of the file: the clock takes the place of that which is there, or comes last
     names = [unit_behind(column.name)[0].strip().lower() for column in table.columns]
     logged = [name in ("time", "t", "x_value") for name in names]
+    own = [column for column, name in zip(table.columns, names, strict=True) if name == _LABVIEW[1]]
+    if origin.source == _LABVIEW[0] and _is_clock_of_its_own(own, instants):
+        return _with_own_clock(table, own, origin)
     columns = tuple(time if is_time else column for column, is_time in zip(table.columns, logged, strict=True))
     if sum(logged) != 1:
         columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
     return replace(table, columns=columns)
+
+
+def _is_clock_of_its_own(logged: Sequence[Column], instants: Values) -> bool:
+    """Tell whether logged times [s] increase, count no samples, and are others than those that are stated."""
+    if not logged or any(not np.array_equal(column.values, logged[0].values) for column in logged):
+        return False
+    steps = np.diff(logged[0].values)
+    passed, stated = logged[0].values - logged[0].values[0], instants - instants[0]
+    is_clock = bool(steps.size and np.all(steps > 0) and np.any(steps != 1))
+    return is_clock and bool(np.max(np.abs(passed - stated)) >= stated[1])
+
+
+def _with_own_clock(table: Table, logged: Sequence[Column], origin: Guess) -> Table:
+    """Return a table with its logged time alone, and that what it states was not taken."""
+    message = (
+        f"the times in the column {quote(logged[0].name)} are not those of the stated {quote(origin.source)},"
+        f" {origin.value}; the column was taken."
+    )
+    columns = tuple(
+        replace(column, name="time", unit="s") if column is logged[0] else column
+        for column in table.columns
+        if column is logged[0] or all(column is not other for other in logged)
+    )
+    remark = Finding(code="sample_time_not_taken", severity="note", message=message)
+    return replace(table, columns=columns, remarks=(*table.remarks, remark))
 
 
 def _whole_stamps(table: Table) -> Table:
