@@ -853,3 +853,16 @@ def test_times_that_labview_logs_go_before_the_step_that_it_states(tmp_path):
     )
     reading = read_log(written(tmp_path, labview("One", body)), settings={"sample_time": "2 ms"})
     assert reading.record.time == pytest.approx(2 * T, abs=1e-9)
+
+
+def test_minutes_and_seconds_above_time_stamps_are_no_unit(tmp_path):
+    cells = [f"59:{t:06.3f}" for t in T]
+    content = "Zeit [mm:ss.0];Soll;Ist;U\n" + "".join(
+        f"{cell};{r:g};{y:.9g};{u:.9g}\n" for cell, r, y, u in zip(cells, R, Y, U, strict=True)
+    )
+    assert read_log(written(tmp_path, content)).record.time == pytest.approx(T, abs=1e-9)
+
+
+def test_the_position_is_asked_about_before_the_channels_of_an_oscilloscope(tmp_path):
+    content = "Time(s),CH1V,CH2V\n" + rows(T, 10 * Y, U)
+    assert refusal(tmp_path, content).startswith("no column named position; the columns are 'Time, CH1V, CH2V'")

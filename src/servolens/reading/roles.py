@@ -220,13 +220,14 @@ def candidates(tables: Sequence[Table]) -> list[Choice]:
     everywhere = Counter(name for _, _, name in plain)
     inside = Counter((i, name) for i, _, name in plain)
 
-    def address(number: int, table: int, name: str) -> str:
-        if (not name or inside[table, name] > 1) and str(number) not in everywhere:
+    def address(number: int, table: int, name: str, column: Column) -> str:
+        is_nameless = not name and column.fault is None
+        if (is_nameless or inside[table, name] > 1) and str(number) not in everywhere:
             return str(number)
         return f"{tables[table].name}/{name}" if everywhere[name] > inside[table, name] else name
 
     return [
-        Choice(column, i, address(number, i, name), meaning(column.name, column.unit, romance=romance))
+        Choice(column, i, address(number, i, name, column), meaning(column.name, column.unit, romance=romance))
         for number, (i, column, name) in enumerate(plain, start=1)
     ]
 
@@ -369,6 +370,8 @@ def _decide(found: Sequence[Choice], chosen: dict[str, Choice], absent: set[str]
                 open_roles = [role for role in open_roles if role != "velocity"]
                 why = f"the name {quote(choice.address)}, and it is not the derivative of the position (r = {r:.2f})"
         open_roles = [role for role in open_roles if role not in (*chosen, *absent)]
+        if len(open_roles) > 1 and "position" not in (*chosen, *open_roles):
+            continue  # the position is asked about first
         if len(open_roles) > 1:
             readings = " or ".join(f"--column {role}={typed(choice.address)}" for role in open_roles)
             raise InputError(f"column {quote(choice.address)} may be {' or '.join(open_roles)}; say {readings}")
@@ -436,7 +439,7 @@ def _clockless(missing: Sequence[str]) -> str:
 def _check_found(chosen: Mapping[str, Choice], found: Sequence[Choice]) -> None:
     missing = [signal for signal in ("time", "position") if signal not in chosen]
     if missing:
-        numbered = next((c.address for c in found if c.address != c.label or not c.column.name.strip()), None)
+        numbered = next((c.address for c in found if c.address != (c.label if c.column.name.strip() else "")), None)
         how = f"say which by name or number, e.g. --column {missing[0]}={numbered}"
         if numbered is None:
             how = f"say which column it is, e.g. --column {missing[0]}=NAME"

@@ -77,7 +77,7 @@ _ROLES = {"reference": "position", "feedforward": "voltage"}
 _BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
 _WITHIN = re.compile(r"([^\[\]]*)\s\[([^\[\]]{2,})\]([ _].*)", re.DOTALL)
 """A unit with words behind it: ``Position [mm] filtered``; a letter there, or no blank, may be an index."""
-_CLOCK = re.compile(r"h{1,2}:m{1,2}(:s{1,2})?([.,:]\w+)?", re.IGNORECASE)
+_CLOCK = re.compile(r"(h{1,2}:m{1,2}(:s{1,2})?|m{1,2}:s{1,2})([.,:]\w+)?", re.IGNORECASE)
 """What stands in the place of a unit above time stamps."""
 _SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
 LONGEST_NAME = 1000
