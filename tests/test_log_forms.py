@@ -855,6 +855,15 @@ def test_times_that_labview_logs_go_before_the_step_that_it_states(tmp_path):
     assert reading.record.time == pytest.approx(2 * T, abs=1e-9)
 
 
+def test_a_counter_of_labview_is_no_time_and_times_that_repeat_are_refused(tmp_path):
+    counter = labview("One", rows(2.0 * np.arange(T.size), 1e3 * R, 1e3 * Y, U, separator="\t"))
+    reading = read_log(written(tmp_path, counter.replace("Delta_X\t1.000000", "Delta_X\t0.001000")))
+    assert reading.record.time == pytest.approx(T - T[0], abs=1e-9)
+    repeated = np.where(np.arange(T.size) == 50, np.roll(T, 1), T)
+    content = labview("One", rows(repeated, 1e3 * R, 1e3 * Y, U, separator="\t"))
+    assert "time must increase" in refusal(tmp_path, content)
+
+
 def test_minutes_and_seconds_above_time_stamps_are_no_unit(tmp_path):
     cells = [f"59:{t:06.3f}" for t in T]
     content = "Zeit [mm:ss.0];Soll;Ist;U\n" + "".join(

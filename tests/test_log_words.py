@@ -260,6 +260,22 @@ def test_of_a_tempo_the_numbers_tell_whether_it_is_a_time_or_a_speed(tmp_path, h
     assert reading.record.velocity == pytest.approx(speed, abs=1e-4)
 
 
+def test_the_time_of_a_scan_does_not_stand_for_the_tempo(tmp_path):
+    heads = ("tempo", "tempo scansione [ms]", "riferimento", "posizione", "tensione")
+    assert read_log(log(tmp_path, heads, T, np.ones(T.size), R, Y, U)).columns["time"] == "tempo"
+
+
+def test_a_slow_log_of_more_than_a_day_is_no_fast_one(tmp_path):
+    """Of a clock in ms since 1970, 25 hours at 1 Hz were read at 1 kHz."""
+    path = tmp_path / "day.csv"
+    lines = (
+        f"{1_700_000_000_000 + 1000 * k},{0.1 * np.sin(0.01 * k):.6f},{np.cos(0.01 * k):.6f}" for k in range(90_000)
+    )
+    path.write_text("\n".join(("timestamp,position,voltage", *lines)))
+    with pytest.raises(InputError, match=r"plausible in ms \(1 Hz\) and in us \(1 kHz\)"):
+        read_log(path)
+
+
 def test_a_tempo_that_falls_back_is_no_time(tmp_path):
     path = log(tmp_path, ("tempo", "riferimento", "pos", "u"), np.gradient(Y, T), R, Y, U)
     with pytest.raises(InputError, match="no column named time; the columns are 'tempo, riferimento, pos, u'"):

@@ -82,13 +82,20 @@ def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
 
 
 def _is_clock_of_its_own(logged: Sequence[Column], instants: Values) -> bool:
-    """Tell whether logged times [s] increase, count no samples, and are others than those that are stated."""
-    if not logged or any(not np.array_equal(column.values, logged[0].values) for column in logged):
+    """Tell whether logged times [s] increase, count no samples, and are others than those that are stated.
+
+    Times that repeat are times all the same: what reads them refuses them, rather than take a wrong step.
+    """
+    if not logged or any(not np.array_equal(column.values, logged[0].values, equal_nan=True) for column in logged):
         return False
-    steps = np.diff(logged[0].values)
-    passed, stated = logged[0].values - logged[0].values[0], instants - instants[0]
-    is_clock = bool(steps.size and np.all(steps > 0) and np.any(steps != 1))
-    return is_clock and bool(np.max(np.abs(passed - stated)) >= stated[1])
+    known = np.isfinite(logged[0].values)
+    values, stated = logged[0].values[known], instants[known]
+    steps = np.diff(values)
+    if not steps.size or np.any(steps < 0) or values[-1] == values[0]:
+        return False
+    is_counter = bool(np.all(steps == steps[0]) and steps[0] == np.rint(steps[0]))
+    off = float(np.max(np.abs((values - values[0]) - (stated - stated[0]))))
+    return not is_counter and off >= instants[1] - instants[0]
 
 
 def _with_own_clock(table: Table, logged: Sequence[Column], origin: Guess) -> Table:

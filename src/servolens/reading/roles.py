@@ -276,8 +276,8 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
         and (c.meaning.symbol is symbols or signal == "position")
         and id(c.column) not in taken
     ]
-    if signal == "time" and not left and not symbols:
-        left = [c for c in found if c.meaning.roles == PACE and is_clock(c.column.values)]
+    if signal == "time" and not symbols and not any(is_clock(c.column.values) for c in left):
+        left = [c for c in found if c.meaning.roles == PACE and np.all(np.diff(c.column.values) > 0)] or left
     passed = ""
     if signal == "voltage" and left:
         left, passed = _commands(left)

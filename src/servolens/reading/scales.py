@@ -56,8 +56,8 @@ EPOCHS = (
     ("100 ns", 62_135_596_800.0, "100 ns since the year 1, ticks of .NET"),
 )
 """How such clocks count: their unit, seconds from their beginning to 1970, and what that is called."""
-LONGEST_RUN = DAY
-"""Duration of one run of an axis that is believable [s], at whatever rate it was logged."""
+SLOWEST = 10.0
+"""Sample time of dated stamps up to which they are believable [s], however long the run is."""
 LONGEST_UPTIME = 366 * DAY
 """Time since a computer was switched on that is believable [s]."""
 ROUNDING = 1e-3
@@ -127,14 +127,14 @@ def _rate(interval: float) -> str:
 def _since(values: Values, interval: float) -> tuple[str, str] | None:
     """Return the unit of stamps that count from an epoch, by the date that they then are, and why; None without.
 
-    However slow the log is, they are dates; but a run that would take weeks is one of a shorter unit.
+    Of a slow log too; but samples that would be taken more seldom than any motion is logged are of a shorter unit.
     """
-    first, duration = float(values[0]), interval * (values.size - 1)
+    first = float(values[0])
     for text, before, what in EPOCHS:
         unit = parse_unit(text)
         if unit is None or not MACHINES[0] <= first * unit.factor - before <= MACHINES[1]:
             continue
-        if SAMPLE_TIMES[0] <= interval * unit.factor and duration * unit.factor <= LONGEST_RUN:
+        if SAMPLE_TIMES[0] <= interval * unit.factor <= SLOWEST:
             rate = 1 / (interval * unit.factor)
             return text, f"steps of {interval:.6g}, and values that are dates in {what}: {rate:.4g} Hz"
     return None
