@@ -820,7 +820,7 @@ def test_a_column_without_a_name_is_offered_by_its_number(tmp_path):
     [
         (
             "[0 ms] pos: 0.1\n[1 ms] pos: 0.2\n",
-            "begins as JSON does, but is none from line 1, column 4 on; export it again",
+            "is not valid JSON from line 1, column 4 on; export it again",
         ),
         ('{"name": "axis"}', "is JSON without arrays of numbers; write one for each signal, as time and position"),
     ],

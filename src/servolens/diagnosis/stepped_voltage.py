@@ -69,7 +69,9 @@ def decided_beside_voltage(
         found = decided_beside_loop(
             first.records, first.heldout, *given, part, lambda what, share: tell(what, (1.0 + share) / 2)
         )
-    return _told(found, records) if first.records is records and abs(likelier) > LIKELIER else found
+    if first.records is not records or abs(likelier) <= LIKELIER:
+        return found
+    return _told(found, [new for new, old in zip(records, exact[0], strict=True) if new is not old])
 
 
 def _is_of_text(record: Record) -> bool:
@@ -79,6 +81,7 @@ def _is_of_text(record: Record) -> bool:
 
 
 def _told(decision: Decision, records: Sequence[Record]) -> Decision:
+    """Say that the motor got the steps in which these records hold the command."""
     steps = [quantisation_step(record.voltage) for record in records if record.voltage is not None]
     largest = readable(max(step for step in steps if step is not None), records[0].command_unit)
     message = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.decoding import decoded, encoded, fields_of, findings_in, read_fields
 from servolens.effects import Effect
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
 from servolens.identification.fit_findings import above_noise, findings_of
 from servolens.identification.fitted import model_of
@@ -226,12 +226,7 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     effects, start = _given(plant)
     logged = tuple(map(without_spikes, as_records(records, settings)))
     exact = tuple(map(with_exact_voltage, logged))
-    try:
-        found = _fitted(effects, start, exact, asked)
-    except NumericalError:  # with a command that the motor did not get
-        if exact == logged:
-            raise
-        return _fitted(effects, start, logged, asked)
+    found = _fitted(effects, start, exact, asked)
     is_as_logged = are_steps_felt(logged, exact, found.plant, found.options)
     return _fitted(effects, start, logged, asked) if is_as_logged else found
 

@@ -35,10 +35,10 @@ def read_json(content: bytes) -> tuple[Table, ...]:
     except InputError:
         raise
     except UnicodeDecodeError as error:
-        raise InputError(f"is JSON, but no UTF-8 text from byte {error.start} on; save it in UTF-8") from error
+        raise InputError(f"is not valid UTF-8 text from byte {error.start} on; save it in UTF-8") from error
     except json.JSONDecodeError as error:
         raise InputError(
-            f"begins as JSON does, but is none from line {error.lineno}, column {error.colno} on; export it again, or"
+            f"is not valid JSON from line {error.lineno}, column {error.colno} on; export it again, or"
             " as a table in CSV"
         ) from error
     except (RecursionError, ValueError) as error:
